@@ -247,6 +247,10 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     for at_once in (tests, whole, replace(tests, unsure=np.arange(len(tests.unsure)) % 5 == 0)):
         each = [at_once.score_given([0, 6], given).p_value for given in others]
         np.testing.assert_allclose(at_once.chances_given_each([0, 6], others), each, rtol=1e-6)
+        groups = [2, 3, 4]
+        for score, of, n in zip(at_once.scores_given(others, [0, 6], groups), others, groups, strict=True):
+            expected = at_once.score_given(of, [0, 6], n)
+            assert vars(score) == pytest.approx(vars(expected), rel=1e-6)
     fewer = tests.among([5, 1, 7], weighed.names_of([own[0]]))
     told = whole.among([5, 1, 7], weighed.names_of([own[0]]))
     np.testing.assert_allclose(fewer.inner, told.inner, rtol=1e-9, atol=1e-9)

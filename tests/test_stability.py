@@ -19,7 +19,7 @@ from pincal.discover.levers import missing_features
 from pincal.discover.report.found_drawings import stability_drawings
 from pincal.discover.report.found_section import _named
 from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
-from pincal.discover.score_tests import ScoreTests, score_test, score_test_given_nuisances
+from pincal.discover.score_tests import GivenNuisances, ScoreTests, score_test, score_test_given_nuisances
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.fit import Ending
@@ -246,6 +246,25 @@ def test_bearings_may_give_way_in_directions_that_no_data_called_for(found: Disc
     assert 0.0 < of_bearings(score_test_given_nuisances(fit, refused)) < sum(gains)
     rigid = refit(fit, GEOMETRIC)
     assert of_bearings(score_test_given_nuisances(rigid, [])) == of_masses(rigid, score_test(rigid, [])) == 0.0
+
+
+@pytest.mark.parametrize("has_blocks", [False, True])
+def test_tests_that_follow_each_other_are_those_made_alone(found: Discovery, has_blocks: bool) -> None:
+    """The columns of bearings' features that candidates replace are left out of those that are known already."""
+    fit = found.trail.final
+    features = missing_features(fit)
+    blocks = np.arange(len(fit.problem)) % 4
+    one_by_one = GivenNuisances(fit, blocks)
+    groups = blocks if has_blocks else None
+
+    assert len(features) > 1
+    for effects in (features[:1], features, features[1:]):
+        alone = score_test_given_nuisances(fit, effects, groups)
+        follows = one_by_one(effects, groups)
+        assert follows.names == alone.names
+        for which in ([0], range(len(effects))):
+            assert follows.gain(which) == pytest.approx(alone.gain(which), rel=1e-6)
+            np.testing.assert_allclose(follows.gains_by_block(which), alone.gains_by_block(which), rtol=1e-4, atol=1e-6)
 
 
 def test_masses_add_what_the_data_leave_of_their_priors(found: Discovery) -> None:

@@ -233,11 +233,14 @@ def table_of(
     count = {kind: _different(effects, nameless=kind) for kind in (False, True)}
     left_out = partial(_left_out, fit, test, search.groups)
     compliances = range(len(effects), len(effects) + len(spare))
+    groups = [among or count[effect.is_nameless] for effect in effects]
+    loads = [i for i, effect in enumerate(effects) if compliances and effect.is_of_loads]
+    beside = tests.scores_given([[i] for i in loads], compliances, [groups[i] for i in loads])
+    given_compliances = dict(zip(loads, beside, strict=True))
     rows = []
-    for i, effect in enumerate(effects):
-        n = among or count[effect.is_nameless]
+    for i, (effect, n) in enumerate(zip(effects, groups, strict=True)):
         given = compliances if effect.is_of_loads else range(0)
-        score = tests.score_given([i], given, n) if given else tests.score([i], n)
+        score = given_compliances.get(i) or tests.score([i], n)
         row = Row(
             effect,
             score,

@@ -364,7 +364,9 @@ class ScoreTests:
     def _gains_beside(
         self, which: Sequence[int], others: Sequence[Sequence[int]]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return T and rank of some candidates together with each of several sets of others."""
+        """Return T and rank of some candidates together with each of several sets of others, none
+        of them among the former.
+        """
         own = self.places(which)
         places = [self.places(of) for of in others]
         sizes = np.array([len(j) for j in places])
@@ -544,6 +546,22 @@ class ScoreTests:
         both = self.gain(sorted({*which, *given}))
         gain, rank, squares, chance = self._beyond(both, self.gain(given))
         return self._judged(float(gain), int(rank), float(chance), float(squares), groups)
+
+    def scores_given(
+        self, each: Sequence[Sequence[int]], given: Sequence[int], groups: Sequence[float]
+    ) -> list[ScoreResult]:
+        """Return the test of each of several sets of candidates given others in the model: as of
+        :meth:`score_given`, with one pass over the rows for all.
+        """
+        if not each:
+            return []
+        found = self._beyond(self._gains_beside(given, each), self.gain(given))
+        return [
+            self._judged(float(gain), int(rank), float(chance), float(squares), of)
+            for gain, rank, squares, chance, of in zip(
+                *np.broadcast_arrays(*found), groups, strict=True
+            )
+        ]
 
     def chances_given_each(
         self, which: Sequence[int], others: Sequence[Sequence[int]]

@@ -195,6 +195,31 @@ class Tangent:
             self, pieces=pieces, blocks=Form.of(rows.H[None], rows.g[None]), information={}
         )
 
+    def with_fewer(self, nuisance: Sequence[Effect]) -> Tangent:
+        """Return the same columns with only some of the nuisance effects."""
+        problem, known = extended(self.fit.problem, nuisance)
+        place = {parameter.name: i for i, parameter in enumerate(self.problem.parameters)}
+        at = np.array([place[parameter.name] for parameter in problem.parameters])
+        column = np.cumsum(self.free) - 1
+        pieces = list[tuple[_Piece, ...]]()
+        for before, after, own in zip(
+            self.problem.places, problem.places, self.pieces, strict=True
+        ):
+            kept = np.flatnonzero(np.isin(before[self.free[before]], at[after]))
+            of_station = (part._replace(jacobian=part.jacobian.only(kept)) for part in own)
+            pieces.append(tuple(of_station))
+        return replace(
+            self,
+            nuisance=tuple(nuisance),
+            problem=problem,
+            values=self.values[at],
+            free=self.free[at],
+            known=known,
+            pieces=tuple(pieces),
+            blocks=self.blocks.part(column[at[self.free[at]]]),
+            information={},
+        )
+
     def tests(self, candidates: Sequence[Effect], *, wider: float = TESTING.wider) -> ScoreTests:
         """Return the tests of candidates, none of them in the model; ``wider`` as of
         :func:`score_test`.
@@ -428,16 +453,26 @@ class GivenNuisances:
         wider: float = TESTING.wider,
     ) -> ScoreTests:
         """Return the tests of candidates; arguments as of :func:`score_test`."""
+        found = self._tangent(effects, self.groups if groups is None else groups)
+        return (found.joined if groups is None else found).tests(effects, wider=wider)
+
+    def _tangent(self, effects: Sequence[Effect], blocks: np.ndarray | None) -> Tangent:
+        """Return the columns of the fit and of the nuisances that some effects leave."""
         nuisance = nuisances(self.fit, effects)
-        blocks = self.groups if groups is None else groups
         key = (
             tuple(effect.identity for effect in nuisance),
             None if blocks is None else blocks.tobytes(),
         )
         if key not in self._tangents:
-            self._tangents[key] = Tangent.at(self.fit, nuisance, blocks)
-        found = self._tangents[key]
-        return (found.joined if groups is None else found).tests(effects, wider=wider)
+            # Others that leave more of them follow.
+            is_part = effects and self.groups is not None
+            every = nuisances(self.fit, ()) if is_part else nuisance
+            self._tangents[key] = (
+                self._tangent((), blocks).with_fewer(nuisance)
+                if len(every) > len(nuisance)
+                else Tangent.at(self.fit, nuisance, blocks)
+            )
+        return self._tangents[key]
 
 
 def score_test_given_nuisances(
