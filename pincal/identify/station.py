@@ -208,6 +208,8 @@ class Station:
     def whitened(self, residuals: np.ndarray) -> np.ndarray:
         """Return residuals of all rows, shape (m, N), with white noise as a fit weights them."""
         residuals = self._white(residuals[None])[0]
+        if not self.is_correlated:
+            return residuals
         return np.concatenate(
             [self.uncorrelated(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1
         )
