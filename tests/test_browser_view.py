@@ -135,6 +135,30 @@ def test_no_label_covers_another_or_is_cut(
 
 
 @pytest.mark.long
+@ROOMS
+def test_the_robot_is_in_the_picture_whatever_was_measured(
+    browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path
+) -> None:
+    """Points that are close together, as in sockets, do not draw the view to themselves: no vertex of the arm is outside."""
+    calibrated = machine(ur10, rng)
+    table = measured(calibrated, rng, 200)
+    near = np.argsort(np.linalg.norm(ur10.forward_kinematics(table.q)[:, :3, 3], axis=1))[:6]
+    write_html(tmp_path / "view.html", build_scene(calibrated, table.select(near), grid=30))
+    opened(browser, (tmp_path / "view.html").as_uri())
+    farthest = browser.execute_script(
+        "let far = 0; viewer.scene_tree.find(['robot']).object.traverse((mesh) => {"
+        "  const at = mesh.geometry && mesh.geometry.getAttribute('position'), V = mesh.position.constructor;"
+        "  for (let k = 0; at && k < at.count; k += 7) {"
+        "    const seen = new V().fromBufferAttribute(at, k).applyMatrix4(mesh.matrixWorld).project(viewer.camera);"
+        "    far = Math.max(far, Math.abs(seen.x), Math.abs(seen.y));"
+        "  }"
+        "}); return far"
+    )
+
+    assert 0.5 < farthest < 1.0
+
+
+@pytest.mark.long
 def test_the_slider_moves_the_robot_to_the_measured_points(
     browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path
 ) -> None:

@@ -190,11 +190,12 @@ def test_explanations_within_odds_of_a_hundred_are_named(of: RobotType) -> None:
 
 
 def test_adjusted_p_values_below_a_twentieth_are_to_be_watched() -> None:
-    """Robots that are not reported, in front of those that are unchanged."""
+    """Robots that are not reported; those on which nothing was found are not to be inspected, and are counted."""
     last = tuple(LastCheck(f"r{k}", "2026-01-08", q, q, 0.0) for k, q in enumerate((0.051, 0.049)))
-    rows = look_first(FleetHistory((), last, 2, 2, frozenset(), frozenset())).rows
+    table = look_first(FleetHistory((), last, 2, 2, frozenset(), frozenset()))
 
-    assert [row[:2] for row in rows] == [("r1", "watch"), ("r0", "unchanged")]
+    assert [row[:2] for row in table.rows] == [("r1", "watch")]
+    assert table.notes[-1] == "nothing was found on 1 other robot"
 
 
 def test_the_latest_round_has_adjusted_p_values(family: Family, of: RobotType) -> None:

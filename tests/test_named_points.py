@@ -15,6 +15,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import run_calibration
 from pincal.calibration.fitted_robot import FittedRobot, load_model
+from pincal.design.health import calibrated_sockets
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
@@ -198,6 +199,24 @@ def test_a_real_distance_is_confirmed(shared_data: Path) -> None:
 
     assert doubted(0.05) == []
     assert [abs(one.found - 0.05) < 1e-4 for one in doubted(0.052)] == [True]
+
+
+@pytest.mark.parametrize("are_known", [False, True])
+def test_a_check_is_planned_in_the_sockets_of_the_calibration(
+    are_known: bool, machine: sim.TrueMachine, kuka: Robot
+) -> None:
+    """Where they were found in the base's frame, by their own names, whatever frame their positions were given in."""
+    table = contacts(machine, kuka, noise=5e-5)
+    elsewhere = {name: tuple(PLACE[:3, :3] @ place + PLACE[:3, 3]) for name, place in SOCKETS.items()}
+    setup = Setup(points=elsewhere) if are_known else Setup(distances=(KnownDistance("a", "b", 0.7),))
+    rig = calibrated_sockets(
+        FittedRobot.of(fit_tables(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5, setup=setup)), {})
+    )
+
+    assert rig is not None and rig.sensor == "socket"
+    assert sorted(rig.held_names) == sorted(SOCKETS)
+    true = [SOCKETS[name] for name in rig.held_names]
+    np.testing.assert_allclose(rig.held_at, true, atol=0.01)
 
 
 def test_sockets_farther_apart_than_the_arm_reaches_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

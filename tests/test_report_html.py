@@ -18,6 +18,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.discover.report.search_answer import SearchAnswer, verdict_of_search
 from pincal.discover.run import Discovery
 from pincal.identify.explain import Cause, Reason
+from pincal.report import sections
 from pincal.report.blocks import Section, paragraph
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups
@@ -173,6 +174,18 @@ def test_the_view_is_linked_if_there_is_one(run: Calibration, page: str, no_figu
     """A file beside the report is linked; without one the page says how to make it."""
     assert 'href="view 3d.html"'.replace(" ", "%20") in page_of(run, view="view 3d.html")
     assert "pincal view model.json" in page and "view3d.html</a>" not in page
+
+
+def test_many_joints_and_parameters_are_folded(run: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two robots have twelve joints and more, whose figures would be five screens of a phone."""
+    assert "further joint" not in page_of(run)
+    assert "parameters determined</summary>" not in page_of(run)
+    monkeypatch.setattr(sections, "_DRAWN_JOINTS", 4)
+    monkeypatch.setattr(sections, "_LISTED_PARAMETERS", 3)
+    page = page_of(run)
+
+    assert "<summary>2 further joints</summary>" in page
+    assert re.search(r"<summary>\d+ parameters determined</summary>", page)
 
 
 def test_a_section_is_a_function(run: Calibration, no_figures: None) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ from msgspec import to_builtins
 
 from pincal.calibration.covered import Covered
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.compensate.robot_frames import base_in_instrument
 from pincal.design.design_model import DesignModel, held_columns
 from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.design.detection import (
@@ -31,7 +32,7 @@ from pincal.diagnosis.change_search import raises_alarm
 from pincal.diagnosis.lineup import ChangeHypotheses, PossibleChange
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, known_degrees
 from pincal.diagnosis.row_evidence import prior_root
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, few
 from pincal.identify.options import Options
 from pincal.model.conditions import Conditions
 from pincal.parameters import FRAME_SYMBOLS, estimate_of
@@ -46,6 +47,8 @@ log = logging.getLogger(__name__)
 _CANDIDATES: Count = 300
 _PLACES: Count = 100
 _CALIBRATED_FROM: Count = 100
+# Sockets that a note lists.
+_NAMED: Count = 6
 # Time from one measured pose to the next [s].
 _SECONDS_PER_POSE: Scale = 20.0
 
@@ -287,7 +290,7 @@ def design_check(
         conditions=choice.conditions,
         has_payloads=bool(request.payloads),
         sensor=reach.rig.sensor,
-        held_at=held_columns(choice.hypotheses.station),
+        held_at=_named(held_columns(choice.hypotheses.station), reach.rig.held_names),
         notice=request.notice,
         power=request.power,
         alpha=request.alpha,
@@ -297,7 +300,7 @@ def design_check(
         noticed=noticed,
         draws=request.draws,
         drawn=choice.drawn,
-        notes=(*reach.robot.notes, *reach.bodies.notes),
+        notes=(*_on_sockets(reach.rig), *reach.robot.notes, *reach.bodies.notes),
         seconds=time.perf_counter() - begun,
     )
 
@@ -470,6 +473,46 @@ def _as_if_calibrated(
         payload_centre=centre,
         sigma=design.sigma,
     )
+
+
+def calibrated_sockets(model: FittedRobot) -> SensorSetup | None:
+    """Return the set-up of a robot that was calibrated by contacts, its target held in the same
+    sockets again; None of another robot, or of contacts between two hands.
+    """
+    robot = model.model.chain.robot
+    if model.sensor_kind != "socket" or robot.path.start != robot.base:
+        return None
+    middle = model.covered.q.mean(axis=1)[None]
+    T_instrument_base = base_in_instrument(model, Conditions.at(robot.following(middle)))[0]
+    turn = T_instrument_base[:3, :3]
+    known = model.station.setup.points
+    found = {
+        name: place
+        if place is not None
+        else tuple(model.estimate[f"{name}.{axis}"] for axis in "xyz")
+        for name, place in known.items()
+    }
+    places = [(np.array(place) - T_instrument_base[:3, 3]) @ turn for place in found.values()]
+    held_at = tuple((float(x), float(y), float(z)) for x, y, z in places)
+    return SensorSetup(sensor="socket", held_at=held_at, held_names=tuple(found))
+
+
+def _on_sockets(rig: SensorSetup) -> Iterator[str]:
+    """Yield the note that the sockets of the calibration are used."""
+    if rig.held_names:
+        yield (
+            f"the target is held in the sockets of the calibration ({few(rig.held_names, _NAMED)});"
+            " --sensor position plans for an instrument"
+        )
+
+
+def _named(columns: dict[str, np.ndarray], names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return columns of sockets with the names that they have in the cell, if these are known."""
+    own = {f"socket_{k}": name for k, name in enumerate(names, 1)}
+    return {
+        column: np.array([own.get(str(name), str(name)) for name in held])
+        for column, held in columns.items()
+    }
 
 
 def _rig_of(rig: SensorSetup, model: FittedRobot) -> SensorSetup:

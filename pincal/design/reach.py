@@ -50,6 +50,7 @@ class SensorSetup:
         cone: largest angle to the normal at which it is visible [rad].
         held_at: approximate positions of the sockets that hold the target, in the frame of the
             first link of the robot's path, its base for one arm [m].
+        held_names: names of these sockets; default: socket_1, socket_2, ...
     """
 
     sensor: str = "position"
@@ -58,6 +59,7 @@ class SensorSetup:
     normal: tuple[float, float, float] | None = None
     cone: float = CONE
     held_at: tuple[tuple[float, float, float], ...] = ()
+    held_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         held = [("place", place) for place in self.held_at]

@@ -199,7 +199,11 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
     joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
     smallest = _smallest(entries)
     happened = _named_above(found.changes)
-    columns = (Column("change"), *(Column(joint, "", Kind.NUMBER, fixed(2)) for joint in joints))
+    heads = short_names([joint for joint in joints if joint in joint_names])
+    columns = (
+        Column("change"),
+        *(Column(heads.get(joint, joint), "", Kind.NUMBER, fixed(2)) for joint in joints),
+    )
     rows: tuple[tuple[Cell, ...], ...] = tuple(
         (
             name,
@@ -219,6 +223,34 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
         rows,
         notes,
     )
+
+
+def short_names(names: Sequence[str]) -> dict[str, str]:
+    """Return the names of joints for the heads of narrow columns: without what all begin or end
+    with, if words are left.
+
+    Example:
+        >>> list(short_names(["panda_joint1", "panda_joint2"]).values())
+        ['joint1', 'joint2']
+        >>> list(short_names(["shoulder_pan_joint", "elbow_joint"]).values())
+        ['shoulder_pan', 'elbow']
+        >>> list(short_names(["joint_1", "joint_2"]).values())
+        ['joint_1', 'joint_2']
+    """
+    words = [name.split("_") for name in names]
+    while _has_common(words, 0):
+        words = [of[1:] for of in words]
+    while _has_common(words, -1):
+        words = [of[:-1] for of in words]
+    are_words = all(of[0][:1].isalpha() for of in words)
+    return {
+        name: "_".join(of) if are_words else name for name, of in zip(names, words, strict=True)
+    }
+
+
+def _has_common(words: Sequence[Sequence[str]], at: int) -> bool:
+    """Return whether names, as words, all have the same first or last one, and others besides."""
+    return len({of[at] for of in words}) == 1 and all(len(of) > 1 for of in words)
 
 
 def _smallest(entries: Sequence[ExcludedEntry]) -> dict[str, dict[str, float]]:

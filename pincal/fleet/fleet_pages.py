@@ -211,9 +211,10 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
         lines[0],
     )
     blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
+    listed = summary.look_first(found)
     first: tuple[PageBlock, ...] = (
         *blocks,
-        summary.look_first(found),
+        listed if len(listed) else paragraph("No robot calls for an inspection."),
         heading("How to read this"),
         _reading(alpha),
     )

@@ -495,9 +495,10 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         Column("what", kind=Kind.NAME),
         Column("last check", kind=Kind.LABEL),
         Column("odds", kind=Kind.NUMBER, show=odds_words),
-        Column("p-value", kind=Kind.NUMBER, show="{:.2g}".format),
-        Column("adjusted", kind=Kind.NUMBER, show="{:.2g}".format),
+        Column("p-value", kind=Kind.NUMBER, show=chance_words),
+        Column("adjusted", kind=Kind.NUMBER, show=chance_words),
     )
+    rows = _first_rows(found)
     note = (
         "odds of a change: how much more probable it makes the readings since calibration "
         "(e-value); beyond doubt: over 10 billion to 1; p-value: of the last check, if nothing "
@@ -505,22 +506,36 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         "discovery rate among all checks of "
         "that round (Benjamini and Hochberg 1995)"
     )
-    return Table("Inspect these first", columns, tuple(_first_rows(found)[:most]), (note,))
+    notes = [note] if rows else []
+    if len(rows) > most:
+        notes.append(f"and {len(rows) - most} more")
+    notes.append(f"nothing was found on {counted(len(found.last) - len(rows), 'other robot')}")
+    return Table("Inspect these first", columns, tuple(rows[:most]), tuple(notes))
+
+
+def chance_words(p_value: float) -> str:
+    """Return a p-value as text; one that is beyond doubt is given by a bound.
+
+    Example:
+        >>> [chance_words(p_value) for p_value in (0.27, 1.2e-5, 1e-130)]
+        ['0.27', '1.2e-05', '<1e-10']
+    """
+    least = 10.0**-_BEYOND_DOUBT
+    return f"{p_value:.2g}" if p_value >= least else f"<{least:.0e}"
 
 
 def _first_rows(found: FleetHistory) -> list[tuple[Cell, ...]]:
-    """Return the row of each robot, in the order in which to look at them."""
+    """Return the row of each robot that is to be looked at, in this order."""
     what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
     state = {one.machine: "watch" for one in found.last if one.q_value < WATCH.watched}
     state = dict.fromkeys(found.drifted, "drifted") | state | dict.fromkeys(found.open, "changed")
-    order = ("changed", "watch", "drifted", "unchanged")
-    ranked = sorted(
-        found.last, key=lambda one: (order.index(state.get(one.machine, order[-1])), -one.log_e)
-    )
+    order = ("changed", "watch", "drifted")
+    listed = [one for one in found.last if one.machine in state]
+    ranked = sorted(listed, key=lambda one: (order.index(state[one.machine]), -one.log_e))
     return [
         (
             one.machine,
-            state.get(one.machine, order[-1]),
+            state[one.machine],
             what.get(one.machine, "-") if one.machine in found.open else "-",
             one.day,
             one.log_e / np.log(10.0),

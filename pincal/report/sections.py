@@ -92,6 +92,10 @@ _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 _LISTED: Count = 12
 # Number of parameters of an instrument that stand among those of the robot.
 _FEW_OWN: Count = 6
+# Joints whose errors are drawn, and identified parameters that are listed, before the rest is
+# folded: a page of two robots has twelve and more, and a phone shows one beneath the other.
+_DRAWN_JOINTS: Count = 8
+_LISTED_PARAMETERS: Count = 24
 _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
 
 
@@ -595,7 +599,10 @@ def _by_joint(readings: RowErrors) -> tuple[Markup, ...]:
         "calibrated arm has flat bands; a "
         "remaining periodic pattern or slope means that the model lacks an effect of this joint. "
     )
-    return (paragraph(rich("{}{}", words, key)), figures("joint", drawn))
+    rest = drawn[_DRAWN_JOINTS:]
+    more = [folded(counted(len(rest), "further joint"), figures("further", rest))] if rest else []
+    shown = figures("joint", drawn[:_DRAWN_JOINTS])
+    return (paragraph(rich("{}{}", words, key)), shown, *more)
 
 
 def where(subject: Subject) -> Section:
@@ -721,8 +728,11 @@ def _parameter_tables(
             parts[_part_of(row, is_robots=bool(is_robots[k]))].append(k)
     if len(parts["instrument"]) <= _FEW_OWN:
         parts["identified"] += parts.pop("instrument")
-    if parts["identified"]:
-        yield rounded_table(parameters, parts["identified"]).without("status", "reason")
+    if found := parts["identified"]:
+        table = rounded_table(parameters, found).without("status", "reason")
+        is_long = len(found) > _LISTED_PARAMETERS
+        words = f"{counted(len(found), 'parameter')} determined"
+        yield folded(words, table) if is_long else table
     if parts["others"]:
         words = f"{counted(len(parts['others']), 'parameter')} not determined individually"
         yield folded(words, rounded_table(parameters, parts["others"]))

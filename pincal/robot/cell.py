@@ -110,9 +110,11 @@ def _place_of(
             "of the two, one station that sees both, or the placement, as in --beside "
             f"{of.name}={of.source}@1.5,0,0,0,0,3.14159"
         )
-    at = ", ".join(f"{number:.4f}" for number in of.place)
+    place, turn = (
+        ", ".join(f"{number:z.4f}" for number in part) for part in (of.place[:3], of.place[3:])
+    )
     note = (
-        f"{of.name} is at {at} (x y z roll pitch yaw) in the frame of "
+        f"{of.name} is at {place} m (x y z) and {turn} rad (roll pitch yaw) in the frame of "
         f"{first.root}, found from the readings"
     )
     return of.place, (note,) if of.is_found else ()

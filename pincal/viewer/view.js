@@ -460,8 +460,9 @@
         groups.set(folder, element("details", { open: !groups.size }, element("summary", {}, heading(folders[folder]))));
         panel.append(groups.get(folder));
       }
-      const [unit, name] = lengthUnit(layer.largest);
-      const places = layer.largest > 0 ? Math.max(0, 2 - Math.floor(Math.log10(layer.largest * unit))) : 0;
+      // One unit for all of a column; digits as its own size has them.
+      const [unit, name] = lengthUnit(Math.max(...layers.map((one) => one.largest)));
+      const places = layer.largest > 0 ? Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(layer.largest * unit)))) : 0;
       const number = `${(layer.mean * unit).toFixed(places)}, ${(layer.largest * unit).toFixed(places)} ${name}`;
       groups.get(folder).append(toggle(layer.path, layer.path[1], { number, hint: layer.words }));
     }
@@ -624,15 +625,24 @@
     viewer.camera.fov = 42;
     viewer.camera.near = far / 300;
     viewer.camera.far = far * 200;
-    const box = new THREE.Box3().expandByPoint(new THREE.Vector3().setFromMatrixPosition(base));
-    const points = floats(scene.fields.layers[0].points), point = new THREE.Vector3();
-    for (let k = 0; k < points.length; k += 3) box.expandByPoint(point.fromArray(points, k));
-    const middle = box.getCenter(new THREE.Vector3()), radius = 0.5 * box.getSize(point).length();
+    // Points may be close together, as in sockets: the robot is in the picture, too.
+    const points = floats(scene.fields.layers[0].points), shown = [];
+    for (let k = 0; k < points.length; k += 3) shown.push(new THREE.Vector3().fromArray(points, k));
+    for (const frame of [base, ...linkFrames(pose)]) shown.push(new THREE.Vector3().setFromMatrixPosition(frame));
+    const middle = new THREE.Box3().setFromPoints(shown).getCenter(new THREE.Vector3());
     // The viewer's own axes: y is up.
-    const seen = new THREE.Vector3(middle.x, middle.z, -middle.y);
+    const ownAxes = (at) => new THREE.Vector3(at.x, at.z, -at.y), seen = ownAxes(middle);
+    const back = new THREE.Vector3(0.72, 0.34, 0.6).normalize();
+    const right = new THREE.Vector3(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
+    const tall = Math.tan((21 * Math.PI) / 180), wide = (tall * view.clientWidth) / view.clientHeight;
+    // Links are thicker than their joints' frames are apart, and labels stand beside them.
+    const thick = 0.08 * scene.reach;
+    const away = shown.map((at) => {
+      const off = ownAxes(at).sub(seen);
+      return off.dot(back) + Math.max((Math.abs(off.dot(up)) + thick) / tall, (Math.abs(off.dot(right)) + thick) / wide);
+    });
     viewer.controls.target.copy(seen);
-    const room = Math.min(1, view.clientWidth / view.clientHeight);
-    viewer.camera.position.set(0.72, 0.34, 0.6).multiplyScalar((0.8 * radius) / Math.tan((21 * Math.PI) / 180) / room).add(seen);
+    viewer.camera.position.copy(back.multiplyScalar(Math.max(...away)).add(seen));
     viewer.controls.update();
   }
 

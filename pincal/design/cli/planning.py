@@ -127,7 +127,8 @@ class InstrumentOptions:
     """Kind and noise of the measurement."""
 
     sensor: Literal["position", "pose", "distance", "socket"] | None = option(
-        "Kind of measurement.", words="position, or socket with --socket"
+        "Kind of measurement.",
+        words="position; socket with --socket, and with --check of a model calibrated by sockets",
     )
     sockets: tuple[Triple, ...] = option(
         "Approximate position of a socket for the tool point, in the robot's base frame "
@@ -333,8 +334,8 @@ def _request(arguments: DesignArguments, robot: Robot) -> DesignRequest:
 
 
 def _check(arguments: DesignArguments) -> Exit:
-    from pincal.calibration.fitted_robot import load_model
-    from pincal.design.health import CheckRequest, design_check
+    from pincal.calibration.fitted_robot import FittedRobot, load_model
+    from pincal.design.health import CheckRequest, calibrated_sockets, design_check
     from pincal.robot.robot import Robot
 
     wanted = arguments.health
@@ -349,7 +350,12 @@ def _check(arguments: DesignArguments) -> Exit:
     robot = known if isinstance(known, Robot) else known.model.chain.robot
     options = _options(arguments, robot)
     limits = _limits(robot, arguments)
-    found = design_check(known, request, options=options, rig=_rig(arguments), limits=limits)
+    rig = _rig(arguments)
+    instrument = arguments.instrument
+    is_told = instrument.sensor or instrument.sockets or arguments.constraints.instrument
+    if isinstance(known, FittedRobot) and not is_told:
+        rig = calibrated_sockets(known) or rig
+    found = design_check(known, request, options=options, rig=rig, limits=limits)
     _write(arguments, robot, found, sensor=found.sensor)
     return Exit.DONE if found.is_met else Exit.INACCURATE
 

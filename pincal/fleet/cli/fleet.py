@@ -293,8 +293,9 @@ def _print_history(found: FleetHistory) -> None:
         click.echo(line)
     if found.changes:
         console().print(summary.change_summary(found))
-    if found.checks:
-        console().print(summary.look_first(found))
+    first = summary.look_first(found)
+    if len(first):
+        console().print(first)
 
 
 def _some(names: Sequence[str]) -> str:

@@ -12,7 +12,18 @@ from matplotlib.figure import Figure
 from pincal.calibration.result_tables import INTERVAL, ParameterRow
 from pincal.parameters import FRAME_SYMBOLS, split_name
 from pincal.report.plots import style
-from pincal.report.plots.style import AFTER, INK, LETTER, MUTED, ROW, SMALL, drawable, dress, panel
+from pincal.report.plots.style import (
+    AFTER,
+    INK,
+    LETTER,
+    MUTED,
+    ROW,
+    SMALL,
+    drawable,
+    drawable_parameter,
+    dress,
+    panel,
+)
 from pincal.thresholds import Count, Scale
 from pincal.units import readable_unit
 from pincal.validate.outcome import MovedParameter
@@ -108,7 +119,7 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
         raise ValueError(f"no identified parameter in {unit} to draw")
     factor, name = readable_unit(unit)
     drawn = sorted(drawn, key=lambda p: -abs(p.value - p.nominal))[:_MOST][::-1]
-    names = [drawable(p.name, 26) for p in drawn]
+    names = [drawable_parameter(p.name, 26) for p in drawn]
     figure, axes = panel(1.1 + ROW * len(drawn), left=0.3 + LETTER * max(map(len, names)))
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
     for i, p in enumerate(drawn):

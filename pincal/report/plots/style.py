@@ -118,6 +118,21 @@ def drawable(text: str, longest: int = _LONGEST) -> str:
     return short.replace("$", r"\$")
 
 
+def drawable_parameter(name: str, longest: int = _LONGEST) -> str:
+    """Return the name of a parameter as text to draw; of a long one the element is cut, as those of
+    one joint differ by their symbol.
+
+    Example:
+        >>> drawable_parameter("right_shoulder_pan_joint.theta", 26)
+        'right_shoulder_pan_….theta'
+    """
+    element, dot, symbol = one_line(name).rpartition(".")
+    room = longest - len(symbol) - len(dot)
+    if len(name) <= longest or not dot or room < 1:
+        return drawable(name, longest)
+    return f"{drawable(element, room)}.{drawable(symbol)}"
+
+
 def log_axis(axes: Axes, which: Literal["x", "y"], low: float, high: float) -> None:
     """Make an axis logarithmic from ``low`` to ``high`` with ticks at 1, 2, 5, or at powers of ten
     where that is too many, written as plain numbers.
