@@ -179,6 +179,12 @@ class Linearised:
             assert found._normals
         return found
 
+    def is_at(self, other: Linearised) -> bool:
+        """Return whether it is at the values of another one, with its robust weights."""
+        return np.array_equal(self.values, other.values) and np.array_equal(
+            self.robust, other.robust
+        )
+
     def release(self) -> None:
         """Free the memory of many stations' equations; they are recomputed on demand."""
         if not self._are_kept and self._squares:

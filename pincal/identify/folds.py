@@ -252,10 +252,10 @@ def _alone_in_fold(station: Station, fold: np.ndarray) -> np.ndarray:
     for names in (station.conditions.target, station.sensor.groups):
         if names is None or not len(names):
             continue
-        pairs = np.unique(np.column_stack([names, fold]), axis=0)
-        folds_of_name = np.bincount(np.unique(pairs[:, 0], return_inverse=True)[1].ravel())
         number = np.unique(names, return_inverse=True)[1].ravel()
-        alone |= folds_of_name[number] == 1
+        has = np.zeros((int(number.max()) + 1, int(fold.max()) + 1), bool)
+        has[number, fold] = True
+        alone |= np.count_nonzero(has, axis=1)[number] == 1
     return alone
 
 

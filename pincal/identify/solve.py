@@ -177,6 +177,7 @@ class _Run:
             of the noise.
         columns: shape (P,), parameters whose columns are needed where the fit ends.
         is_last: whether the step ends a fit whose last point gets more columns than others.
+        wide: this point with them, once it was tried.
         is_short: whether the part of it that was taken is too short to matter.
         near: the latest normal equations that were summed, where rows are correlated: their H
             stands for that of the points after short steps.
@@ -219,6 +220,7 @@ class _Run:
         self.iterations = 0
         self.columns = free if course.columns is None else course.columns
         self.is_last = False
+        self.wide: Linearised | None = None
         self.is_short = False
         self.held = np.zeros(int(free.sum()), bool)
         self.damping = 0.0
@@ -397,11 +399,12 @@ class _Run:
 
     def for_next(self) -> Linearised:
         """Return the latest point with the columns that the next fit needs."""
-        if not np.array_equal(self.columns, self.free):
-            wide = self.point.with_columns(self.columns)
-            self.point = wide.narrowed(self.free)
-            return wide
-        return self.point
+        if np.array_equal(self.columns, self.free):
+            return self.point
+        if self.wide is None or not self.wide.is_at(self.point):
+            self.wide = self.point.with_columns(self.columns)
+            self.point = self.wide.narrowed(self.free)
+        return self.wide
 
     def solution(self, ended: Ending) -> Solution:
         """Return the solution, its noise estimated with the effective number of parameters."""
@@ -551,7 +554,6 @@ class _Trial:
             self._is_refused
             or run.is_along_rows
             or run.was_refused
-            or run.is_last
             or (run.wanted < run.course.short and not run.is_whole)
         )
         self.there = self.at(step, squares_first=squares_first)
@@ -570,7 +572,12 @@ class _Trial:
         values[free] = np.where(self.is_open[self._group], here.values[free] + step, values[free])
         if self._is_carried(values):
             return here.carried_to(values)
-        return self._run.linearised(values, here.robust, self._sigma, squares_first=squares_first)
+        run = self._run
+        if run.is_last and not squares_first:
+            there = run.linearised(values, here.robust, self._sigma, squares_first=True)
+            run.wide = there.with_columns(run.columns)
+            return run.wide.narrowed(free) if run.wide.normals else there
+        return run.linearised(values, here.robust, self._sigma, squares_first=squares_first)
 
     def _is_carried(self, values: np.ndarray) -> bool:
         """Return whether values are so near that the normal matrix here holds there, too, and is

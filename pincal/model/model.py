@@ -510,10 +510,9 @@ class Evaluation:
         if all(term.slope is None and p not in varied for p, term in elastic):
             rate = np.array([values[p] for p, _ in elastic], float).reshape(-1, 1)
         else:
-            n = len(self.places.tool)
-            rate = stacked(
-                [values[p] * (np.ones(n) if t.slope is None else t.slope) for p, t in elastic], n
-            )
+            rate = np.empty((len(elastic), len(self.places.tool)))
+            for row, (p, term) in zip(rate, elastic, strict=True):
+                np.multiply(values[p], 1.0 if term.slope is None else term.slope, out=row)
         return Compliances(
             coordinate=np.array([term.coordinate for _, term in elastic], np.int64),
             moment=np.array([term.moment for _, term in elastic], np.int64),
