@@ -169,7 +169,7 @@ def code_of(page: str) -> list[str]:
     return [block or word for block, word in re.findall(r"```\S*\n(.*?)^```|`([^`]+)`", page, re.DOTALL | re.MULTILINE)]
 
 
-# The two that take longest are played before a release; other pages design and discover as well.
+# The two that take longest are played before a release, as is a notebook; other pages design and discover as well.
 SLOW = ("what-is-missing", "poses")
 
 
@@ -205,7 +205,13 @@ def test_notebooks_import_nothing_internal() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("notebook", sorted((ROOT / "examples").glob("*.ipynb")), ids=lambda notebook: notebook.stem)
+@pytest.mark.parametrize(
+    "notebook",
+    [
+        pytest.param(path, id=path.stem, marks=pytest.mark.products if path.stem == "discover" else ())
+        for path in sorted((ROOT / "examples").glob("*.ipynb"))
+    ],
+)
 def test_notebooks_run_and_draw(notebook: Path, tmp_path: Path) -> None:
     """Every cell runs, figures are drawn and the robot in 3D, as notebooks are kept without outputs."""
     book = nbformat.read(notebook, 4)

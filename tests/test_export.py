@@ -263,7 +263,6 @@ def test_bearings_beside_the_origins_of_their_frames_are_exported(frame: MomentF
         check_python(drawn(effect, Robot.from_urdf("panda"), frame=frame), rng)
 
 
-@pytest.mark.long
 def test_the_whole_catalogue_at_once_is_exported(kuka: Robot, rng: np.random.Generator) -> None:
     """One model with all effects, two targets."""
     check_python(everything(kuka), rng)
