@@ -219,6 +219,7 @@ def same(change_examples: Path) -> tuple[FittedRobot, Measurements, Measurements
     )
 
 
+@pytest.mark.long
 def test_gross_rows_of_a_sound_robot_are_no_changes(
     same: tuple[FittedRobot, Measurements, Measurements],
 ) -> None:
