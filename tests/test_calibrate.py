@@ -61,7 +61,8 @@ def noisy(kuka):
     ("known", "stages"),
     [
         (True, "joint"),
-        *(pytest.param(*of, marks=pytest.mark.long) for of in [(False, "paper"), (True, "paper"), (False, "joint")]),
+        pytest.param(False, "paper", marks=pytest.mark.long),
+        *(pytest.param(*of, marks=[pytest.mark.long, pytest.mark.rates]) for of in [(True, "paper"), (False, "joint")]),
     ],
 )
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=[pytest.mark.long, pytest.mark.rates]) for seed in (1, 2))])

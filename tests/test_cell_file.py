@@ -161,6 +161,7 @@ def test_a_file_of_the_cell_that_is_overridden_may_be_gone(folder: Path, capsys:
     assert checked(capsys, "robot.urdf", "tracker.csv")[0]["noise"]["sigma_m"] == pytest.approx(5e-5)
 
 
+@pytest.mark.long
 def test_another_robot_takes_nothing_of_the_cells_robot(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its signs and its load are not those of the robot on the command line; the instrument is the same."""
     shutil.copy("robot.urdf", "other.urdf")
@@ -213,6 +214,7 @@ def test_settings_that_are_none_are_refused(words: list[str], folder: Path, caps
     assert "Invalid value for --set: " in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_settings_take_any_option_by_its_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Single values, several, and vectors."""
     plain = ["--points-in", "base", "--fix", "*.s_x", "--fix", "*.s_y", "--payload-com", "0", "0", "0.1"]
@@ -253,6 +255,7 @@ def test_check_suggests_the_short_command_where_the_cell_says_the_same(
     assert "pincal calibrate robot.urdf tracker.csv --noise 0.1mm\n" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_known_places_of_a_command_line_stand_in_place_of_those_of_the_cell(
     folder: Path, kuka: Robot, capsys: pytest.CaptureFixture[str]
 ) -> None:

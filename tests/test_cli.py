@@ -118,6 +118,7 @@ def test_text_fits_a_hundred_columns(tmp_path, table, capsys):
     assert max(len(line) for line in lines if not line.startswith(("next ", "more ", "written to "))) <= 100
 
 
+@pytest.mark.long
 def test_a_check_says_the_declared_noise_and_what_the_readings_show(tmp_path, capsys):
     """Of five readings a pose their scatter, as of independent draws; that of the table, if none was declared."""
     made = tmp_path / "repeated.csv"
@@ -391,7 +392,10 @@ def test_every_verb_shows_an_example(verb, capsys):
 
 @pytest.mark.parametrize(
     ("arguments", "code"),
-    [(["--version"], 0), pytest.param(["nothing"], 2, marks=pytest.mark.long), (["validate", "no.json", "no.csv"], 3)],
+    [
+        (["--version"], 0),
+        *(pytest.param(*of, marks=pytest.mark.long) for of in ((["nothing"], 2), (["validate", "no.json", "no.csv"], 3))),
+    ],
 )
 def test_a_process_ends_with_its_code_and_all_that_it_said(arguments: list[str], code: int) -> None:
     """The command leaves without tidying up, but not before its words are out."""

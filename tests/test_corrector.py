@@ -237,7 +237,11 @@ def test_a_table_of_joints_comes_back_with_other_numbers_alone(made: Made, tmp_p
 @pytest.mark.long
 @ROOMS
 @pytest.mark.parametrize(
-    "names", [("A", "B", "C"), ("W", "P", "R"), ("rx", "ry", "rz"), ("qx", "qy", "qz", "qw"), ("q1", "q2", "q3", "q4")]
+    "names",
+    [
+        *(("A", "B", "C"), ("rx", "ry", "rz"), ("q1", "q2", "q3", "q4")),
+        *(pytest.param(names, marks=pytest.mark.rates) for names in (("W", "P", "R"), ("qx", "qy", "qz", "qw"))),
+    ],
 )
 def test_a_table_of_poses_comes_back_in_its_own_way(made: Made, names: tuple[str, ...], tmp_path: Path) -> None:
     """A nominal controller that is given the new poses brings the robot where the old ones were meant."""

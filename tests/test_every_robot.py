@@ -28,7 +28,7 @@ NOISE_M = 5e-5
 # One of each kind before each commit: six and seven joints, few joints, sliding ones, a torso, arms of humanoids, files with
 # and without masses, of URDF and of xacro. All of them before a release.
 OF_EACH_KIND = {
-    *("ur5", "panda", "so101", "bravo7_gripper", "finger_edu", "tiago_dual", "talos", "pr2", "icub", "centauro"),
+    *("ur5", "panda", "so101", "bravo7_gripper", "finger_edu", "tiago_dual", "talos"),
     "abb/abb_irb2400_support/urdf/irb2400.urdf",
     "fanuc/fanuc_lrmate200id_support/urdf/lrmate200id.xacro",
     "ur_description/urdf/ur.urdf.xacro",

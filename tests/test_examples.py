@@ -279,6 +279,7 @@ def test_photographs_of_ones_own_give_the_same(camera_output: tuple[Path, str], 
         assert numbers(again, label) == numbers(text, label)
 
 
+@pytest.mark.long
 def test_images_without_opencv_say_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where OpenCV can't be imported, the message names the package."""
     (tmp_path / "cv2.py").write_text("raise ImportError", encoding="utf-8")

@@ -264,7 +264,6 @@ def test_bearings_beside_the_origins_of_their_frames_are_exported(frame: MomentF
         check_python(drawn(effect, Robot.from_urdf("panda"), frame=frame), rng)
 
 
-@pytest.mark.long
 def test_the_whole_catalogue_at_once_is_exported(kuka: Robot, rng: np.random.Generator) -> None:
     """One model with all effects, two targets."""
     check_python(everything(kuka), rng)
@@ -427,6 +426,7 @@ def test_reached_is_what_the_model_confirms(kuka: Robot, nominal: bool, tmp_path
         assert reached[angle < 1e-2].mean() > 0.9 and reached[angle > 3.0].any()
 
 
+@pytest.mark.long
 def test_a_wanted_pose_is_a_rotation(kuka: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     """Mirrored, stretched, empty and undefined orientations are refused, unless the orientation does not count."""
     calibrated = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka)
@@ -642,6 +642,7 @@ GANTRY = b"""<robot name="gantry 2/b">
 )
 
 
+@pytest.mark.long
 def test_carriages_and_joints_that_follow_others_are_exported(tmp_path: Path, rng: np.random.Generator) -> None:
     """A prismatic joint, and one that mimics another: inputs are the joints of their own, in C and in NumPy."""
     robot = Robot.from_urdf(GANTRY)

@@ -209,7 +209,7 @@ class Looped:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in ("palletizer", "four-bar") else pytest.mark.long) for name in LINKAGES]
+    "name", [pytest.param(name, marks=() if name == "four-bar" else pytest.mark.long) for name in LINKAGES]
 )
 def test_mujoco_closes_loops_as_the_model_does(name: str, rng: np.random.Generator) -> None:
     """But for what is out of a loop's plane, to second order in the errors of the geometry, which are millimetres."""

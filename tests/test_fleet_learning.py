@@ -160,6 +160,7 @@ def test_no_machine_counts_twice() -> None:
             learn_type([*machines, replace(machines[1], name=name)])
 
 
+@pytest.mark.long
 def test_a_parameter_that_some_machines_lack_is_learned_from_the_others() -> None:
     """And a machine without it takes part with all that it has."""
     family = Family.drawn(np.random.default_rng(8), parameters=12)

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from dataclasses import replace
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from pincal import ELASTIC, FittedRobot, Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main
+from pincal.design import health
 from pincal.design.cli.plan_screen import print_check
 from pincal.design.detection import DetectionDesign, detectable_changes, detection_design, lineup_over
 from pincal.design.health import CheckRequest, HealthCheck, design_check
@@ -222,8 +224,12 @@ def test_what_is_printed_says_what_is_noticed_and_what_is_not() -> None:
 
 
 @pytest.mark.long
-def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of a robot and of a model; that a size is not noticed with so few poses is exit 5."""
+    # What is simulated of a check takes most of its time, and decides nothing here.
+    monkeypatch.setattr(health, "CheckRequest", partial(CheckRequest, draws=20))
     _, model = machine_and_model(3)
     model.save(tmp_path / "model.json")
     out = tmp_path / "check.csv"

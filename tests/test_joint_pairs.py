@@ -92,6 +92,7 @@ def test_a_wave_of_two_joints_is_found_with_its_orders(found: Discovery) -> None
     assert after < 1.25 * np.sqrt(3.0) * 0.05
 
 
+@pytest.mark.long
 def test_what_was_found_is_not_sought_again(found: Discovery) -> None:
     """No further wave is worth a test once it is in the model; nor is one in noise alone."""
     assert not likely_waves_of_two(found.trail.final, found.calibration.robot.joint_names)

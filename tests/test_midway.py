@@ -163,7 +163,8 @@ def test_a_joint_that_arrives_unevenly_was_not_remastered() -> None:
     assert seen(table(9055, noise="joint")) is None
 
 
-@pytest.mark.parametrize("joint", ["joint_2", pytest.param("joint_3", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("joint", ["joint_2", "joint_3"])
 def test_the_remastered_joint_is_told_from_one_that_arrives_unevenly(joint: str) -> None:
     """Joint 2 scatters by 0.1 mrad; of it and joint 3, whose levers are alike, the one a milliradian off is named."""
     found = seen(table(40, change=joint, cut=60, noise="joint"))

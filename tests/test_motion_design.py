@@ -134,6 +134,7 @@ def test_the_command_writes_a_motion_that_simulate_drives(tmp_path: Path, capsys
         assert f"{other[0]} is for poses at rest" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_motion_that_ends_too_soon_is_told(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """Between three poses there are six moves, each driven once."""
     monkeypatch.setattr(motion_design, "_POSES", 3)

@@ -61,6 +61,7 @@ def test_regions_are_those_of_fits_of_the_others(found: Discovery) -> None:
     assert errors_left_out(whole, fold)[fold == k].mean() == pytest.approx(1e3 * left.mean(), rel=0.03)
 
 
+@pytest.mark.long
 def test_they_are_said(found: Discovery) -> None:
     """In discovery.json and in the report; without names there are none."""
     regions = found.findings.regions

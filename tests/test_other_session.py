@@ -219,6 +219,7 @@ def same(change_examples: Path) -> tuple[FittedRobot, Measurements, Measurements
     )
 
 
+@pytest.mark.long
 def test_gross_rows_of_a_sound_robot_are_no_changes(
     same: tuple[FittedRobot, Measurements, Measurements],
 ) -> None:
@@ -272,7 +273,8 @@ def test_a_touched_instrument_is_no_change(first: FittedRobot) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("curve", [7, pytest.param(1, marks=pytest.mark.long)])
+# The other drive is as it was also where one has changed.
+@pytest.mark.parametrize("curve", [7, pytest.param(1, marks=pytest.mark.rates)])
 def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int) -> None:
     """With the day, beside the curves that both days have; where none has changed, no day has one of its own."""
     robot = Robot.from_urdf("ur10")

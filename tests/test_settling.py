@@ -102,7 +102,13 @@ def test_many_rows_tell_the_same_of_it(seed: int) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("hidden", [sim.ThermalGrowth(size=2e-4, time_constant=TAU), sim.ThermalExpansion(size=2e-5)])
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        sim.ThermalGrowth(size=2e-4, time_constant=TAU),
+        pytest.param(sim.ThermalExpansion(size=2e-5), marks=pytest.mark.rates),
+    ],
+)
 def test_a_recorded_temperature_is_not_taken_for_that_of_the_arm(hidden: sim.HiddenEffect) -> None:
     """While the hall warms up as well, links that grow by time or by temperature are named so, or both stand as a tie."""
     air = 20.0 + 12.0 * -np.expm1(-60.0 * np.arange(N) / 4500.0) + np.random.default_rng(3).normal(0.0, 0.5, N)

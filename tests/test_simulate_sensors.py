@@ -257,7 +257,10 @@ def written_out(camera, x, y):
     return camera["fx"] * bent_x + camera["u0"], camera["fy"] * bent_y + camera["v0"]
 
 
-@pytest.mark.parametrize(("arm", "tip", "base"), [("kuka", "tool0", "base_link"), ("z1", "gripperMover", "world")])
+@pytest.mark.parametrize(
+    ("arm", "tip", "base"),
+    [("kuka", "tool0", "base_link"), pytest.param("z1", "gripperMover", "world", marks=pytest.mark.long)],
+)
 def test_images_are_those_of_the_written_camera(tmp_path, arm, tip, base):
     """Pixels follow from forward kinematics, the object and the camera's file by the formula; all are in the image."""
     urdf = URDF if arm == "kuka" else str(find_file(arm))

@@ -27,7 +27,7 @@ QUICK = ("baxter", "talos", "tiago_pro")
 # with and without sliding joints and mimics, fingers by the dozen. Before a release all; the others are variants of these.
 OF_EACH_KIND = (
     *("bravo7_gripper", "panda", "anymal", "bolt", "anymal_kinova", "centauro", "allegro_right_hand", "human", "icub"),
-    *("alex_sake_hands", "romeo", "pr2", "talos_full", "tiago", "tiago_dual"),
+    *("alex_sake_hands", "romeo", "pr2", "talos_full", "tiago"),
 )
 # Pairs of tips of one robot that are looked at: hands have many fingers.
 MOST_PAIRS = 40

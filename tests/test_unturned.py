@@ -73,6 +73,7 @@ def test_with_its_place_or_turns_there_is_no_doubt() -> None:
     assert turned.problem.stations and not turned.options.unturned
 
 
+@pytest.mark.long
 def test_two_orientations_leave_the_direction_of_their_axis_open() -> None:
     """As a grid of people who turn the wrist once."""
     robot = gantry(*_ALONG, *_WRIST)

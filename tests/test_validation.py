@@ -253,7 +253,7 @@ def test_false_alarms_are_rare(kuka: Robot) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("effects", [GEOMETRIC, ELASTIC])
+@pytest.mark.parametrize("effects", [pytest.param(GEOMETRIC, marks=pytest.mark.rates), ELASTIC])
 def test_a_real_robot_of_another_month_is_the_same(shared_data: Path, effects: tuple[Effect, ...]) -> None:
     """Calibrated on series A, the UR10 of series B is found elsewhere, blocks of A where they were; a UR5 is doubted."""
     robot = Robot.from_urdf("ur10")

@@ -77,6 +77,7 @@ def test_a_shift_of_five_sigma_of_a_pass_is_found() -> None:
     assert sum(map(bool, found)) >= 7
 
 
+@pytest.mark.long
 def test_a_calibration_stops_at_a_change_between_passes() -> None:
     """A doubt with the line, which is what exit code 4 follows from, and no verdict "adequate"."""
     table, _ = Visited(order="same", readings=shifted(1e-3, 60)).table(3)
