@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.identify.jacobian import AlongRows
 from pincal.identify.posterior import Eliminated, eliminate
 from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.station import PIECE, Station
@@ -510,9 +511,14 @@ def accumulate_at(
         row_squares[:, piece] = _row_squares(residuals, station.block_rows, weights)
         scale = precision[:, piece] * (weights * robust[piece])
         here, inner = _parts_of(piece, ends)
-        for some in station.readings_apart:
-            part = station.uncorrelated_jacobian(jacobian, piece, some).weighted(scale[some])
-            part.add_grams(residuals[some] * scale[some], inner, H[here], g[here])
+        for some, part in station.apart(jacobian, piece, is_one=n == 1):
+            if isinstance(part, AlongRows):
+                # Readings that are whitened by themselves have one noise.
+                part.add_grams(residuals[some], inner, H[here], g[here], weights=scale[some][0])
+            else:
+                part.weighted(scale[some]).add_grams(
+                    residuals[some] * scale[some], inner, H[here], g[here]
+                )
     blocks = summed(row_squares, ends, robust)
     return Form.of(H, g), StationSquares(blocks, row_squares, np.zeros(n))
 
