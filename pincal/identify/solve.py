@@ -41,6 +41,9 @@ log = logging.getLogger(__name__)
 # nothing to gain.
 SETTLED: Scale = 1e-3
 _ROUGH: Scale = 0.1
+# Readings of correlated rows times parameters, above which products of columns take long: a fifth
+# of a second.
+_LONG: Count = 20_000_000
 # After a step that moves them by less than this, products of the columns are much the same.
 _ALIKE: Scale = 0.3
 # The same, to the length of a step after which they were not.
@@ -168,6 +171,7 @@ class _Run:
     Attributes:
         is_whole: whether more than the values is needed.
         is_along_rows: whether rows are correlated along their order.
+        is_long: whether the products of their columns take long.
         point: the problem at the latest values, rows weighted by robust weights of an earlier
             point.
         judged: noise and robust weights by the residuals there.
@@ -178,8 +182,8 @@ class _Run:
         columns: shape (P,), parameters whose columns are needed where the fit ends.
         is_last: whether the step ends a fit whose last point gets more columns than others.
         is_short: whether the part of it that was taken is too short to matter.
-        near: the latest normal equations that were summed, where rows are correlated: their H
-            stands for that of the points after short steps.
+        near: the latest normal equations that were summed, where that takes long: their H stands
+            for that of the points after short steps.
         alike: length of steps after which it does.
         was_near: whether the latest step was by such products.
         held: shape (F,), free parameters that a bound stopped.
@@ -203,6 +207,8 @@ class _Run:
         self.course = course
         self.judge = Judge(problem, free, noise, course.loss)
         self.is_along_rows = any(station.serial is not None for station in problem.stations)
+        size = problem.readings(np.ones(len(problem))).sum() * np.count_nonzero(free)
+        self.is_long = self.is_along_rows and bool(size > _LONG)
         self.wanted = np.inf
         self.near: tuple[Normal, ...] | None = None
         self.alike: float = _ALIKE
@@ -276,7 +282,7 @@ class _Run:
         self.is_last = (
             self.course.rough and self.wanted < _ROUGH and not np.array_equal(self.columns, free)
         )
-        known = posterior if self.is_along_rows else None
+        known = posterior if self.is_long else None
         del posterior
         self.point = self.moved(longer, step)
         self.judged = self.judge.at(self.point, hard=self.hard)
@@ -310,7 +316,7 @@ class _Run:
             # Earlier steps do not predict others.
             self.history = []
         self.was_near = is_near
-        if self.is_along_rows and self.is_whole and not is_near:
+        if self.is_long and self.is_whole and not is_near:
             self.near = here.known_normals()
         damping = _STIFF if is_near else 0.0
         step, self.held = posterior.step_within(self.priors.bounds[self.free], damping)
@@ -318,7 +324,7 @@ class _Run:
 
     def length_of(self, taken: np.ndarray, known: Posterior | None) -> float:
         """Return the length of the part of a step that was taken, shape (F,), which takes all rows
-        again; ``known`` tells it where rows are correlated, as these take longest.
+        again; ``known`` tells it where that takes long.
         """
         posterior = self.point.posterior(self.judged.sigma) if known is None else known
         return self.length(posterior.square(taken))
