@@ -313,6 +313,9 @@ def test_readings_whose_rows_are_independent_are_weighed_beside_correlated_ones(
     scale = np.sqrt(np.diag(expected.H))
     np.testing.assert_allclose(form.H.sum(axis=0) / np.outer(scale, scale), expected.H / np.outer(scale, scale), atol=1e-12)
     np.testing.assert_allclose(form.g.sum(axis=0) / scale, expected.g / scale, rtol=1e-9, atol=1e-9)
+    whole, _ = accumulate_at(weighed.station, np.array([0, 90]), fit.values, free, robust, noise[None])
+    np.testing.assert_allclose(whole.H[0] / np.outer(scale, scale), expected.H / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(whole.g[0] / scale, expected.g / scale, rtol=1e-9, atol=1e-9)
 
     candidates = [TransmissionError.over("joint_5", q[:, 4], 24), GearEccentricity("joint_1")]
     tests = score_test(weighed, candidates, groups=np.arange(90) % 4)

@@ -52,7 +52,12 @@ DRIVER = """
 #define _POSIX_C_SOURCE 199309L
 #include "{name}.h"
 #include <time.h>
-static double now(void) {{ struct timespec t; clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t); return t.tv_sec + 1e-9 * t.tv_nsec; }}
+static double now(void)
+{{
+  struct timespec t;
+  clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+  return t.tv_sec + 1e-9 * t.tv_nsec;
+}}
 double forward_all(int n, const {name}_state *states, double *poses)
 {{
     double start = now();

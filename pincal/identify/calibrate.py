@@ -76,6 +76,8 @@ PAPER_STAGES: dict[str, tuple[str, ...]] = {
 
 # A step that moves predictions by less than this part of the noise changes no test noticeably.
 _CLOSE: Scale = 5e-3
+# The same of the last fits to correlated rows: among as many rows as tell their noise, no figure.
+_TOLD: Scale = 2e-2
 
 
 class Tolerance(Enum):
@@ -84,7 +86,7 @@ class Tolerance(Enum):
     ROUGH = "close to convergence, outliers only down-weighted"
     CLOSE = "to within the resolution of a test, without further features"
     TOLD = (
-        "to within the resolution of a test, with features excited only by deviations if the data "
+        "to within a fiftieth of the noise, with features excited only by deviations if the data "
         "require them"
     )
     NEAR = (
@@ -94,6 +96,8 @@ class Tolerance(Enum):
     SETTLED = "to convergence, with features excited only by deviations if the data require them"
 
 
+# Motion of the predictions below which a step ends a fit, in units of the noise.
+_SHORT = {Tolerance.CLOSE: _CLOSE, Tolerance.TOLD: _TOLD}
 # The stages after those of a plan; the second one only where the data require it.
 _LAST_STAGES = {
     Tolerance.ROUGH: (),
@@ -543,7 +547,7 @@ def _solved(
     for name in _LAST_STAGES[until]:
         missed, begun = _is_missed(replace(fit, solution=fitted), released, point)
         if missed or name == "final":
-            short = _CLOSE if until in (Tolerance.CLOSE, Tolerance.TOLD) else SETTLED
+            short = _SHORT.get(until, SETTLED)
             free = released if missed else fitted.free
             fitted, point = solved(name, begun, free, short=short, ahead=until is Tolerance.NEAR)
         if not missed and fitted.iterations <= 1:

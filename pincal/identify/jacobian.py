@@ -315,7 +315,7 @@ class AlongRows:
         weights: np.ndarray | None = None,
     ) -> None:
         """Add to G and g as :meth:`Jacobian.add_grams` does, residuals being changed; all poses are
-        one part.
+        one part, and weights, if of each reading, are the same for all, as these have one noise.
         """
         size = self.plain.size
         square = np.ones(residuals.shape[1]) if weights is None else weights**2

@@ -525,8 +525,7 @@ def accumulate_at(
         row_squares[:, piece] = _row_squares(residuals, station.block_rows, weights)
         scale = precision[:, piece] * (weights * robust[piece])
         here, inner = _parts_of(piece, ends)
-        for some in station.readings_apart:
-            part = station.uncorrelated_jacobian(jacobian, piece, some)
+        for some, part in station.apart(jacobian, piece, is_one=n == 1):
             part.add_grams(residuals[some], inner, H[here], g[here], weights=scale[some])
     blocks = summed(row_squares, ends, robust)
     return Form.of(H, g), StationSquares(blocks, row_squares, np.zeros(n))

@@ -41,10 +41,16 @@ log = logging.getLogger(__name__)
 # nothing to gain.
 SETTLED: Scale = 1e-3
 _ROUGH: Scale = 0.1
+# Readings of correlated rows times parameters, above which products of columns take long: a fifth
+# of a second.
+_LONG: Count = 20_000_000
 # After a step that moves them by less than this, products of the columns are much the same.
-_ALIKE: Scale = 0.1
+_ALIKE: Scale = 0.3
 # The same, to the length of a step after which they were not.
 _SHRUNK: Scale = 0.3
+# Damping of steps by such products, in units of the priors' precision: directions that readings
+# hardly tell turn with the values, and would be taken for others.
+_STIFF: Scale = 1000.0
 # A step that moves them by less than this changes nothing that is told, and is not taken.
 _STILL: Scale = 1e-9
 # The same in standard deviations of parameters, which are smaller than a short step if there are
@@ -168,6 +174,7 @@ class _Run:
     Attributes:
         is_whole: whether more than the values is needed.
         is_along_rows: whether rows are correlated along their order.
+        is_long: whether the products of their columns take long.
         point: the problem at the latest values, rows weighted by robust weights of an earlier
             point.
         judged: noise and robust weights by the residuals there.
@@ -179,9 +186,10 @@ class _Run:
         is_last: whether the step ends a fit whose last point gets more columns than others.
         wide: this point with them, once it was tried.
         is_short: whether the part of it that was taken is too short to matter.
-        near: the latest normal equations that were summed, where rows are correlated: their H
-            stands for that of the points after short steps.
+        near: the latest normal equations that were summed, where that takes long: their H stands
+            for that of the points after short steps.
         alike: length of steps after which it does.
+        was_near: whether the latest step was by such products.
         held: shape (F,), free parameters that a bound stopped.
         damping: for the next step; 0 while full steps succeed.
         was_refused: whether steps from the previous point were refused.
@@ -203,9 +211,12 @@ class _Run:
         self.course = course
         self.judge = Judge(problem, free, noise, course.loss)
         self.is_along_rows = any(station.serial is not None for station in problem.stations)
+        size = problem.readings(np.ones(len(problem))).sum() * np.count_nonzero(free)
+        self.is_long = self.is_along_rows and bool(size > _LONG)
         self.wanted = np.inf
         self.near: tuple[Normal, ...] | None = None
         self.alike: float = _ALIKE
+        self.was_near = False
         # Outliers are known if robust weights are.
         self.hard = isinstance(start, Linearised)
         if not isinstance(start, Linearised):
@@ -270,16 +281,13 @@ class _Run:
         free = self.free
         here = self.point
         before = self.judged
-        posterior = here.posterior(before.sigma)
-        step, self.held = posterior.step_within(self.priors.bounds[free])
-        if self.is_along_rows and self.is_whole and here.near is None:
-            self.near = here.known_normals()
+        posterior, step = self.begun()
         longer = self.accelerated(step, posterior.metric)
         self.wanted = self.length(posterior.square(step))
         self.is_last = (
             self.course.rough and self.wanted < _ROUGH and not np.array_equal(self.columns, free)
         )
-        known = posterior if self.is_along_rows else None
+        known = posterior if self.is_long else None
         del posterior
         self.point = self.moved(longer, step)
         self.judged = self.judge.at(self.point, hard=self.hard)
@@ -296,10 +304,32 @@ class _Run:
         )
         if self.course.ahead and self.iterations < _TRIALS:
             self.is_short = self.is_near()
+        if self.was_near and self.is_short:
+            # What readings hardly tell may be on its way still.
+            self.point = self.point.reweighted(self.judged.robust).exactly()
+            self.wanted = self.length(self.gauss_newton()[1])
+            self.is_short = self.wanted < self.shortest()
+
+    def begun(self) -> tuple[Posterior, np.ndarray]:
+        """Return the posterior at the latest point and the Gauss-Newton step from there, shape
+        (F,), which is damped if it is by products from elsewhere.
+        """
+        here = self.point
+        posterior = here.posterior(self.judged.sigma)
+        is_near = here.near is not None
+        if is_near != self.was_near:
+            # Earlier steps do not predict others.
+            self.history = []
+        self.was_near = is_near
+        if self.is_long and self.is_whole and not is_near:
+            self.near = here.known_normals()
+        damping = _STIFF if is_near else 0.0
+        step, self.held = posterior.step_within(self.priors.bounds[self.free], damping)
+        return posterior, step
 
     def length_of(self, taken: np.ndarray, known: Posterior | None) -> float:
         """Return the length of the part of a step that was taken, shape (F,), which takes all rows
-        again; ``known`` tells it where rows are correlated, as these take longest.
+        again; ``known`` tells it where that takes long.
         """
         posterior = self.point.posterior(self.judged.sigma) if known is None else known
         return self.length(posterior.square(taken))

@@ -469,6 +469,19 @@ class Station:
             else:
                 yield rows, part
 
+    def apart(
+        self, jacobian: Jacobian, piece: slice, *, is_one: bool
+    ) -> Iterator[tuple[slice, Jacobian | AlongRows]]:
+        """Yield readings that are whitened by themselves, and a Jacobian of a piece of the rows
+        there, uncorrelated between rows; its columns are changed a few at a time if all rows of it
+        are one part.
+        """
+        if is_one and self.serial is not None and self.arrival is None:
+            yield from self.by_block(jacobian, piece)
+            return
+        for some in self.readings_apart:
+            yield some, self.uncorrelated_jacobian(jacobian, piece, some)
+
     def uncorrelated_jacobian(self, jacobian: Jacobian, piece: slice, readings: slice) -> Jacobian:
         """Return a Jacobian of a piece of the rows at some :attr:`readings_apart`, or at all, with
         the correlation of rows removed.
