@@ -15,6 +15,7 @@ from pincal.discover.first_order import ScoreTests
 from pincal.discover.locate import _given
 from pincal.discover.products import Information
 from pincal.discover.score_tests import score_test
+from pincal.identify.believed import Beliefs, Earlier
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
@@ -153,6 +154,32 @@ def test_parameters_spent_are_found_without_the_posterior() -> None:
     assert found.effective == pytest.approx(spent, rel=1e-9)
     believed = Nonzero.of(known)
     assert Posterior(Form.of(H), sizes, np.zeros(9), believed=believed).effective == pytest.approx(of_data, rel=1e-9)
+
+
+def test_what_is_believed_beyond_priors_is_kept_by_its_entries() -> None:
+    """The same as of whole matrices, of some parameters or of all, when it is asked for first and again."""
+    rng = np.random.default_rng(5)
+    spline, root = np.diag([2.0, 4.0, 2.0]), rng.normal(size=(2, 2))
+    spline[[0, 1, 1, 2], [1, 0, 2, 1]] = -1.0
+    of_fit, sigma = root @ root.T, np.array([0.3, 0.2])
+    terms = (
+        Earlier(("a", "b"), np.ones(2), of_fit, sigma, np.array([4, 1])),
+        Earlier((), np.zeros(3), spline, None, np.array([2, 5, 6])),
+    )
+    values, sizes = rng.normal(size=8), rng.uniform(1.0, 2.0, 8)
+    H, g = np.zeros((8, 8)), np.zeros(8)
+    for term, gone in zip(terms, (sizes[[4, 1]] ** -2.0, np.zeros(3)), strict=True):
+        H[np.ix_(term.places, term.places)] += term.information - np.diag(gone)
+        g[term.places] += term.information @ (term.mean - values[term.places]) + gone * values[term.places]
+    beliefs = Beliefs(terms, np.zeros(8, bool), False)
+
+    for kept in ([0, 1, 2, 3, 4, 5, 6, 7], [0, 2, 4, 6], [1, 5, 7], [0, 2, 4, 6]):
+        at = np.array(kept)
+        found = beliefs.beyond_priors(at, values, sizes)
+        np.testing.assert_array_equal(found.H, H[np.ix_(at, at)])
+        np.testing.assert_allclose(found.g, g[at], rtol=1e-12, atol=1e-12)
+        for entries, expected in zip(beliefs.entries(at, sizes), Nonzero.of(found.H), strict=True):
+            np.testing.assert_array_equal(entries, expected)
 
 
 @pytest.mark.parametrize("blocks", [1, 4])

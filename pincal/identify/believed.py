@@ -15,17 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identify.posterior import Nonzero
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
 from pincal.model.effects import LENGTHS
 from pincal.parameters import Estimate, Parameter
-from pincal.thresholds import Scale
+from pincal.thresholds import Count, Scale
 
+# Sets of parameters of which the entries of the terms are kept.
+_KEPT: Count = 2
 # Smallest standard deviation of a direction relative to the largest, each parameter in units of its
 # own; below is rounding.
 _LEAST: Scale = 1e-9
@@ -93,7 +95,8 @@ class Earlier:
         return np.full(len(self.places), np.inf) if self.sigma is None else sizes[self.places]
 
 
-class Beliefs(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Beliefs:
     """Knowledge about a problem's parameters beyond the prior of each.
 
     Attributes:
@@ -101,11 +104,13 @@ class Beliefs(NamedTuple):
         is_earlier: shape (P,), which parameters are known from an earlier fit.
         is_slope: whether the only term is the slope of contacts, which is negligible where readings
             are exact.
+        known: cache of :meth:`entries`, the oldest first.
     """
 
     terms: tuple[Earlier, ...]
     is_earlier: np.ndarray
     is_slope: bool
+    known: dict[bytes, Nonzero] = field(default_factory=dict, repr=False)
 
     def with_earlier(self, values: np.ndarray) -> np.ndarray:
         """Return values, shape (P,), with those of an earlier fit where it has any."""
@@ -151,17 +156,37 @@ class Beliefs(NamedTuple):
             sizes: shape (P,), standard deviations of the priors.
         """
         information = np.zeros((len(kept), len(kept)))
+        entries = self.entries(kept, sizes)
+        information[entries.rows, entries.columns] = entries.values
+        return Form.of(information, self.slope(kept, values, sizes))
+
+    def entries(self, kept: np.ndarray, sizes: np.ndarray) -> Nonzero:
+        """Return the information of :meth:`beyond_priors`, which is the same at all values."""
+        key = kept.tobytes() + sizes.tobytes()
+        if key not in self.known:
+            while len(self.known) >= _KEPT:
+                del self.known[next(iter(self.known))]
+            every = [self._entries_of(term, kept, sizes) for term in self.terms]
+            self.known[key] = Nonzero.joined(every)
+        return self.known[key]
+
+    def _entries_of(self, term: Earlier, kept: np.ndarray, sizes: np.ndarray) -> Nonzero:
+        of = np.flatnonzero(np.isin(term.places, kept))
+        found = Nonzero.of(
+            (term.information - np.diag(term.contained_priors(sizes) ** -2.0))[of[:, None], of]
+        )
+        at = np.searchsorted(kept, term.places[of])
+        return Nonzero(at[found.rows], at[found.columns], found.values)
+
+    def slope(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Return half of the negative gradient of :meth:`beyond_priors`, shape (K,)."""
         slope = np.zeros(len(kept))
         for term in self.terms:
-            back = term.contained_priors(sizes)
             here = values[term.places]
-            of = np.flatnonzero(np.isin(term.places, kept))
-            at = np.searchsorted(kept, term.places[of])
-            information[at[:, None], at] += (term.information - np.diag(back**-2.0))[
-                of[:, None], of
-            ]
-            slope[at] += (term.information @ (term.mean - here) + here / back**2)[of]
-        return Form.of(information, slope)
+            pull = term.information @ (term.mean - here) + here / term.contained_priors(sizes) ** 2
+            of = np.isin(term.places, kept)
+            slope[np.searchsorted(kept, term.places[of])] += pull[of]
+        return slope
 
 
 def slope_of_contacts(station: Station) -> np.ndarray:

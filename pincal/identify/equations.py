@@ -30,7 +30,7 @@ from pincal.identify.normal import (
     squares,
     summed,
 )
-from pincal.identify.posterior import Eliminated, Nonzero, Posterior, eliminate
+from pincal.identify.posterior import Eliminated, Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
@@ -332,7 +332,7 @@ class Linearised:
         slot = np.cumsum(problem.is_shared[free]) - 1
         places = np.flatnonzero(free & problem.is_shared)
         known = problem.beliefs.beyond_priors(places, self.values, self.sizes)
-        believed = Nonzero.of(known.H) if problem.beliefs.terms else None
+        believed = problem.beliefs.entries(places, self.sizes) if problem.beliefs.terms else None
         H = known.H
         g = known.g
         whole = known.whole.copy()

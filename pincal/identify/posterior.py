@@ -22,7 +22,7 @@ are summed:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -51,6 +51,15 @@ class Nonzero(NamedTuple):
         """Return those of a matrix."""
         rows, columns = np.nonzero(matrix)
         return cls(rows, columns, matrix[rows, columns])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Nonzero]) -> Nonzero:
+        """Return those of the sum of matrices that have no entry in common, row by row."""
+        if not parts:
+            return cls(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+        rows, columns, values = map(np.concatenate, zip(*parts, strict=True))
+        order = np.lexsort((columns, rows))
+        return cls(rows[order], columns[order], values[order])
 
     def times(self, matrix: np.ndarray) -> float:
         """Return the sum of the products with the entries of another matrix."""
