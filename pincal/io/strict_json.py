@@ -17,6 +17,7 @@ import numpy as np
 
 from pincal.atomic import write_atomic
 from pincal.errors import BadInputError, ModelFileError, OutputError
+from pincal.measure.table_schema import TABLE_ENDINGS
 from pincal.thresholds import Count
 
 _T = TypeVar("_T")
@@ -195,6 +196,11 @@ backup or run pincal calibrate again
             expected = kind.name
         raise kind.fault(file, place, problem, expected) from None
     except ValueError as error:
+        if Path(file).suffix.lower() in TABLE_ENDINGS and not _model_beside(file):
+            raise kind.error(
+                f"{file}: is a table; expected {kind.name} here: are two files in each other's "
+                "place?"
+            ) from None
         raise kind.fault(file, "", f"truncated or not JSON ({error})", kind.name) from None
 
 
