@@ -527,7 +527,7 @@ def test_a_note_on_loops_is_printed_once(tmp_path: Path, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("diagnose", "TABLE", "MODEL", "--out", "d"), "is a table; expected a model.json here"),
+        (("diagnose", "TABLE", "MODEL", "--out", "d"), "is a table; expected a model.json"),
         (("calibrate", "TABLE", "ROBOT", "--cell", "none", "--out", "d"), "are robot and table in each other's place?"),
         (("design", "MODEL", "--poses", "20", "--out", "p.csv"), "beside a model.json stands its calibrated.urdf"),
     ],
