@@ -27,7 +27,7 @@ from pincal.certificate.certificate_page import certificate_page
 from pincal.certificate.contents import Certificate, Figure, FigureGroup, Issue
 from pincal.certificate.dcc import DCC, DCC_VERSION, SI, digital_certificate
 from pincal.certificate.of_measured import certificate_of_measured
-from pincal.certificate.of_model import certificate_of_model, position_budget
+from pincal.certificate.of_model import certificate_of_model, position_budget, source_of_lengths
 from pincal.errors import BadInputError
 from pincal.identity import Identity
 from pincal.io.result_folder import output_folder
@@ -35,6 +35,7 @@ from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS, estimate_of
+from pincal.sensors.setup import KnownDistance, Setup
 
 ISSUE = Issue(number="C-17", day=datetime.date(2026, 11, 29))
 DOUBT = "the residuals are 7.64 times the declared noise"
@@ -433,6 +434,24 @@ def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
     assert set(bare.lacking) >= {"robot", "instrument", "certificate", "date"}
     assert of_model.lacking == ()
     assert "tracker 7512" in certificate_page(of_model)
+
+
+def test_source_of_lengths_sockets_are_of_no_instrument(known: FittedRobot, of_model: Certificate) -> None:
+    """The sheet names the given distance, or that there was none; of sockets that were measured, an instrument's."""
+
+    def lengths(**setup: Any) -> str:
+        return source_of_lengths(known.with_station(replace(known.station, sensor_kind="socket", setup=Setup(**setup))))
+
+    unknown = {"a": None, "b": None}
+    given = lengths(points=unknown, distances=(KnownDistance("a", "b", 0.05),))
+    words = replace(of_model, lengths=given).traceability
+
+    assert given == "the distances between sockets as given: a to b 50.000 ± 0.010 mm"
+    assert (
+        words.startswith("No instrument measured the robot. Its lengths are those of the distances") and "7512" not in words
+    )
+    assert lengths(points=unknown) == "its description: no distance between sockets was given"
+    assert lengths(points={"a": (0.0, 0.0, 0.0), "b": None}) == source_of_lengths(known) == ""
 
 
 def test_a_model_whose_effects_need_more_of_a_pose_has_no_budget(tmp_path: Path, kuka: Robot) -> None:

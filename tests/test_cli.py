@@ -526,3 +526,24 @@ def test_a_note_on_loops_is_printed_once(tmp_path: Path, capsys: pytest.CaptureF
     assert run("check", robot, table, "--tip", "tool0", "--cell", "none") == 3
     told = capsys.readouterr()
     assert "through the loops closed by rod_head" in told.err.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("diagnose", "TABLE", "MODEL", "--out", "d"), "is a table; expected a model.json"),
+        (("calibrate", "TABLE", "ROBOT", "--cell", "none", "--out", "d"), "are robot and table in each other's place?"),
+        (("design", "MODEL", "--poses", "20", "--out", "p.csv"), "beside a model.json stands its calibrated.urdf"),
+    ],
+)
+def test_files_in_each_other_s_place_are_told(
+    words: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table in place of a model was advised to be taken from a backup."""
+    monkeypatch.chdir(tmp_path)
+    Path("t.csv").write_text("joint_1,x,y,z\n0,1,2,3\n")
+    Path("model.json").write_text("{}")
+    files = {"TABLE": "t.csv", "MODEL": "model.json", "ROBOT": kuka_urdf_path()}
+
+    assert run(*(files.get(word, word) for word in words)) == 3
+    assert said in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -116,6 +117,28 @@ def test_the_report_shows_each_station(results: Path) -> None:
     """A section with a bar and a line for each; the list of contents leads to it."""
     page = (results / "report.html").read_text()
     assert 'href="#stations"' in page and "tracker: mean error" in page and "sockets: mean error" in page
+
+
+def test_the_next_step_of_several_stations_runs(
+    tmp_path: Path,
+    machine: sim.TrueMachine,
+    tables: dict[str, Columns],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A program is corrected at one of them: the command names that of the instrument, not the first, of sockets."""
+    monkeypatch.chdir(tmp_path)
+    both = {"sockets": tables["sockets"], "tracker": tables["tracker"]}
+    written(tmp_path, both)
+    options = ("--model", "geometric", "--noise", f"{NOISE}m", "--quiet", "--out", "out")
+    assert run("calibrate", URDF, *(f"{name}.csv" for name in both), *options) == 0
+    step = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("next "))
+    write_table(tmp_path / "PROGRAM.csv", {name: tables["tracker"][name][:3] for name in machine.names})
+    pincal, *words = shlex.split(step.removeprefix("next "), comments=True)
+
+    assert (pincal, words[0]) == ("pincal", "compensate")
+    assert words[words.index("--station") + 1] == "tracker"
+    assert run(*words) == 0
 
 
 @pytest.mark.long

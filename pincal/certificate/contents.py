@@ -171,6 +171,7 @@ class Certificate:
         groups: the results.
         budget: where the uncertainty comes from; None where that is not known.
         rule: how it is decided whether figures conform; empty if nothing is decided.
+        lengths: what gives the unit of length where no instrument measured; empty otherwise.
         files: SHA-256 by name of the files that it was made of, the first one that it certifies.
         versions: of the software, by what was done with it.
     """
@@ -186,6 +187,7 @@ class Certificate:
     groups: tuple[FigureGroup, ...]
     budget: Budget | None = None
     rule: str = ""
+    lengths: str = ""
     files: Mapping[str, str]
     versions: Mapping[str, str]
 
@@ -200,9 +202,14 @@ class Certificate:
         """What is known of the chain of calibrations to the unit of length."""
         instrument = self.identity.instrument or NOT_STATED
         certificate = self.identity.certificate or NOT_STATED
-        return (
+        source = (
             f"Lengths and angles are those of the instrument: {instrument}; its calibration "
-            f"certificate: {certificate}. These entries are as the user stated them and were not "
+            f"certificate: {certificate}."
+        )
+        if self.lengths:
+            source = f"No instrument measured the robot. Its lengths are those of {self.lengths}."
+        return (
+            f"{source} These entries are as the user stated them and were not "
             "verified. The software is no link of a chain of calibrations and is not accredited; "
             "an error of the instrument's scale is included only where the budget lists it."
         )

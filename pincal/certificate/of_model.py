@@ -38,6 +38,7 @@ from pincal.notes import Note, doubts_of
 from pincal.report.report_numbers import REPORT
 from pincal.report.words import noise_origin, noise_words
 from pincal.thresholds import Count
+from pincal.units import readable_unit, show_measured
 from pincal.validate.misfit import Verdict, worst
 
 # Poses over which the uncertainty is averaged, more of which change it by a per cent, and their
@@ -97,6 +98,7 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
         doubts=(*of.doubts, *alarms),
         groups=tuple(_groups(of.result, budget)),
         budget=budget,
+        lengths=source_of_lengths(fitted),
         files=of.files | files,
         versions={
             "calibrated with pincal": str(fitted.provenance.get("pincal", NOT_STATED)),
@@ -340,6 +342,24 @@ def _facts(fitted: FittedRobot, result: ResultFile) -> dict[str, str]:
         "rests on": "" if result.uncertainty is UNSET else result.uncertainty.rests_on,
     }
     return {name: text for name, text in found.items() if text}
+
+
+def source_of_lengths(fitted: FittedRobot) -> str:
+    """Return what gives the unit of length where the arm was held in sockets alone; empty if an
+    instrument read it, or the sockets.
+    """
+    setups = [station.setup for station in fitted.stations if station.sensor_kind == "socket"]
+    is_measured = any(place is not None for setup in setups for place in setup.points.values())
+    if len(setups) < len(fitted.stations) or is_measured:
+        return ""
+    given = dict.fromkeys(distance for setup in setups for distance in setup.distances)
+    if not given:
+        return "its description: no distance between sockets was given"
+    listed = ", ".join(
+        f"{one.first} to {one.second} {show_measured(one.length, one.sigma, readable_unit('m'))} mm"
+        for one in given
+    )
+    return f"the distances between sockets as given: {listed}"
 
 
 def _validation(result: ResultFile) -> str:

@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
 # What writes views of a calibration to a folder.
+# Kinds of readings of which a program's targets may be: of an instrument that sees positions.
+_PLACES = ("position", "pose")
 _VIEWS: Place[Callable[[Path, Calibration], None]] = Place("views")
 # Times within which a cluster has to answer, and then to have a worker [s].
 _ANSWER: Scale = 5.0
@@ -286,9 +288,21 @@ def _commands(arguments: FitArguments, result: Result) -> dict[Act, str]:
     return {
         Act.DECLARE: f"{noise}  # your instrument's",
         Act.SEARCH: f"pincal discover {words}",
-        Act.USE: f"pincal compensate {model} PROGRAM.csv --out corrected.csv  "
-        "# your program; or measure, predict",
+        Act.USE: f"pincal compensate {model} PROGRAM.csv{_at_a_station(result)} --out "
+        "corrected.csv  # your program; or measure, predict",
     }
+
+
+def _at_a_station(result: Result) -> str:
+    """Return the option for one of several stations, of which a program needs one: the first at
+    which an instrument measured positions, if there is one.
+    """
+    from msgspec import UNSET
+
+    if result.stations is UNSET:
+        return ""
+    stations = sorted(result.stations, key=lambda record: record["kind"] not in _PLACES)
+    return f" --station {shlex.quote(stations[0]['name'])}"
 
 
 def _require_usable(result: Result, arguments: FitArguments) -> None:

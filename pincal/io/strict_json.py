@@ -8,7 +8,7 @@ import json
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from pincal.atomic import write_atomic
 from pincal.errors import BadInputError, ModelFileError, OutputError
+from pincal.measure.table_schema import TABLE_ENDINGS
 from pincal.thresholds import Count
 
 _T = TypeVar("_T")
@@ -106,7 +107,7 @@ class FileKind:
         """Return the error for a fault at a key of a file."""
         key = f"{place}{self.mark}" if place else ""
         is_another = place in ("", "format", "format_version")
-        if is_another and self is MODEL_FILE and (model := _model_beside(file)):
+        if is_another and self.name == MODEL_FILE.name and (model := _model_beside(file)):
             return self.error(f"{file}: {key}{problem}; expected {self.name}, such as {model}")
         if self.whole and (is_another or problem == MISSING):
             expected = self.whole
@@ -195,7 +196,11 @@ backup or run pincal calibrate again
             expected = kind.name
         raise kind.fault(file, place, problem, expected) from None
     except ValueError as error:
-        raise kind.fault(file, "", f"truncated or not JSON ({error})", kind.name) from None
+        problem = f"truncated or not JSON ({error})"
+        if Path(file).suffix.lower() in TABLE_ENDINGS:
+            problem = "is a table"
+            kind = replace(kind, advice="are two files in each other's place?")
+        raise kind.fault(file, "", problem, kind.name) from None
 
 
 def bounded(content: bytes, kind: FileKind, file: str) -> bytes:

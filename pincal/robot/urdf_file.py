@@ -37,6 +37,8 @@ _LONGEST: Count = 600
 # Names that a message proposes, and how similar they have to be [ratio].
 _NEAR: Count = 3
 _ALIKE: Scale = 0.75
+# Endings of descriptions of robots.
+_URDF_ENDINGS = (".urdf", ".xacro", ".xml")
 
 
 def parse_xml(text: bytes, source: str) -> Any:
@@ -55,7 +57,12 @@ def parse_xml(text: bytes, source: str) -> Any:
     try:
         root = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
-        raise RobotFileError(f"{source}: not XML ({error}); expected a URDF file") from None
+        expected = "expected a URDF file"
+        if text.lstrip().startswith(b"{"):
+            expected += "; beside a model.json stands its calibrated.urdf"
+        elif Path(source).suffix and Path(source).suffix.lower() not in _URDF_ENDINGS:
+            expected += " here: are robot and table in each other's place?"
+        raise RobotFileError(f"{source}: not XML ({error}); {expected}") from None
     dtd = root.getroottree().docinfo.internalDTD
     if dtd is not None and any(True for _ in dtd.iterentities()):
         raise RobotFileError(
