@@ -345,17 +345,19 @@ def _duplicate_lines(measurements: Measurements) -> list[int]:
     names = [
         np.unique(column, return_inverse=True)[1]
         for column in arrays.values()
-        if column.dtype.kind not in "fi"
+        if column.dtype.kind not in "fi" and np.any(column != column[:1])
     ]
     # Adding 0.0 turns -0.0 into 0.0, so that equal rows have equal bits.
     table = (
         np.column_stack([np.asarray(column, dtype=float) for column in (*numbers, *names)]) + 0.0
     )
     odd = np.random.default_rng(0).integers(1, 2**63, table.shape[1], dtype=np.uint64)
-    _, inverse, counts = np.unique(
-        (table.view(np.uint64) * odd).sum(axis=1), return_inverse=True, return_counts=True
-    )
-    candidates = np.flatnonzero(counts[inverse] > 1)
+    marks = (table.view(np.uint64) * odd).sum(axis=1)
+    in_order = np.sort(marks)
+    again = in_order[1:][in_order[1:] == in_order[:-1]]
+    if not len(again):
+        return []
+    candidates = np.flatnonzero(np.isin(marks, again))
     _, first = np.unique(table[candidates], axis=0, return_index=True)
     return list(measurements.rows[np.delete(candidates, first)].tolist())
 

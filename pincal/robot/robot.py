@@ -388,7 +388,7 @@ class Robot:
         }
         return tuple(name for name in self.joint_names if name in moves)
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Length of its path stretched out [m]: an upper bound on the distance from S_0
         to the tip.
