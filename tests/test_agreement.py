@@ -267,7 +267,10 @@ def test_what_the_errors_of_an_arm_explain_has_no_cause(kuka: Robot, table: Meas
 @pytest.mark.long
 @pytest.mark.skipif(SHARED is None, reason="needs the data sets that are shared beside the repository")
 @pytest.mark.parametrize("rows", [40, pytest.param(200, marks=pytest.mark.rates)])
-@pytest.mark.parametrize(("mine", "file"), [("ur5", "ur5_tracker/grid.csv"), ("ur10", "ur10_tmac/series_B.csv")])
+@pytest.mark.parametrize(
+    ("mine", "file"),
+    [("ur5", "ur5_tracker/grid.csv"), pytest.param("ur10", "ur10_tmac/series_B.csv", marks=pytest.mark.rates)],
+)
 def test_some_rows_of_a_real_table_have_no_cause(mine: str, file: str, rows: int) -> None:
     """As measured, and with the errors that arms of one type differ by on top."""
     assert SHARED is not None

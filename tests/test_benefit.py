@@ -140,7 +140,7 @@ def test_good_readings_always_calibrate(size, machines):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("poses", [14, 60])
+@pytest.mark.parametrize("poses", [14, pytest.param(60, marks=pytest.mark.rates)])
 def test_expected_errors_are_the_true_ones(poses):
     """Over machines, the errors expected of URDF and calibrated robot are the true ones, without knowing the machines."""
     expected, true = [], []

@@ -215,7 +215,7 @@ def _contacts(seed: int, each: int) -> Measurements:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("each", [14, 25])
+@pytest.mark.parametrize("each", [14, pytest.param(25, marks=pytest.mark.rates)])
 def test_what_contacts_show_is_the_robots(each: int, kuka: Robot) -> None:
     """No instrument reads contacts: where they scatter without structure, intervals of differences hold it all the same."""
     hits = {"all": list[np.ndarray](), "parameters": list[np.ndarray]()}

@@ -106,7 +106,7 @@ def at_fresh(run: Run, fresh: Path) -> tuple[float, float]:
 
 
 @of_plan("01")
-@pytest.mark.parametrize("verb", ["calibrate", "discover"])
+@pytest.mark.parametrize("verb", ["calibrate", pytest.param("discover", marks=pytest.mark.rates)])
 def test_a_shift_between_two_passes_is_told_with_its_line(plan: Path, pincal: Callable[..., Run], verb: str) -> None:
     """All readings of the second pass are 1 mm off from line 62 on: exit 4, and the line."""
     run = pincal(verb, plan / "robot.urdf", plan / "data.csv")
@@ -206,7 +206,7 @@ def test_what_a_plan_does_not_reach_is_stated(plan: Path, pincal: Callable[..., 
 
 
 @of_plan("19")
-@pytest.mark.parametrize("verb", ["calibrate", "discover"])
+@pytest.mark.parametrize("verb", [pytest.param("calibrate", marks=pytest.mark.rates), "discover"])
 def test_a_tracker_displaced_between_two_sessions_is_told(plan: Path, pincal: Callable[..., Run], verb: str) -> None:
     """It stands .11 mm elsewhere from line 63 on, 17 hours later, which is no drift of the base: exit 4 of both."""
     run = pincal(verb, plan / "robot.urdf", plan / "data.csv")

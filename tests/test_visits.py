@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +54,14 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("case", [pytest.param(case, marks=pytest.mark.long if k else ()) for k, case in enumerate(CHANGES)])
+def some_first() -> Iterator[Any]:
+    """Yield cases: a shift is in the default suite; one within a pass, targets and a joint are in long runs."""
+    for k, case in enumerate(CHANGES):
+        later = pytest.mark.long if k in (2, 3, 5) else (pytest.mark.long, pytest.mark.rates)
+        yield pytest.param(case, marks=later if k else ())
+
+
+@pytest.mark.parametrize("case", list(some_first()))
 def test_a_change_between_passes_is_found_with_its_line(case: str) -> None:
     """By the row at which it happened, to within three, and by its cause, though means of poses show nothing."""
     plan, cut, cause = CHANGES[case]
