@@ -54,6 +54,7 @@ from pincal.notes import Note, doubts_first, doubts_of
 from pincal.recorded import Moving
 from pincal.thresholds import Count
 from pincal.validate.accuracy import error_statistics
+from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.misfit import NoiseTest, Verdict, is_informative, judge
 from pincal.validate.outcome import (
     ClockRecord,
@@ -72,6 +73,54 @@ from pincal.validate.pose_characteristics import error_intervals
 _MOST_CORRELATIONS: Count = 20
 # What of a result is for its summary alone; the file has it in its warnings.
 _NOT_WRITTEN = ("doubt", "shift", "doubted", "arrivals")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Grounds:
+    """What a verdict rests on.
+
+    Attributes:
+        lacks: for each station the residuals against the scatter of visits, if it has any.
+        p_value: chance of larger residuals by the declared noise; None where it was estimated.
+        reduced: sum of squares per degree of freedom.
+        arrivals: as of :class:`Result`.
+        doubts: the warnings that keep it from being "adequate".
+        is_usable: whether the fit converged and nothing rejects it.
+        degrees: readings of distinct poses beyond the parameters that they determine.
+    """
+
+    lacks: Sequence[LackOfFit | None]
+    p_value: float | None
+    reduced: float
+    arrivals: float | None
+    doubts: tuple[Note, ...]
+    is_usable: bool
+    degrees: float
+
+    @property
+    def noise_test(self) -> NoiseTest | None:
+        """As of :class:`Result`."""
+        known = [
+            test
+            for lack in self.lacks
+            if lack is not None and (test := lack.noise_test) is not None
+        ]
+        if known and len(known) == len(self.lacks):
+            return min(known, key=lambda test: test.p_value)
+        if self.p_value is None or self.arrivals is not None:
+            return None
+        return NoiseTest("the declared noise of the instrument", self.reduced**0.5, self.p_value)
+
+    def verdict(self, *, incomplete: bool) -> Verdict:
+        """Return the verdict; ``incomplete`` as of :meth:`Result.verdict_of`."""
+        few = not is_informative(self.degrees)
+        return judge(
+            self.noise_test,
+            self.doubts,
+            unusable=not self.is_usable,
+            incomplete=incomplete,
+            few=few,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,31 +156,31 @@ class Result(Outcome):
         Where poses were repeated it is their scatter, which includes the robot's repeatability. A
         declared noise of the instrument is none where the drives scatter more than it.
         """
+        return self._grounds.noise_test
+
+    @property
+    def _grounds(self) -> _Grounds:
+        """What its verdict rests on."""
         lacks = (
             [self.lack_of_fit]
             if self.stations is UNSET
             else [record.get("lack_of_fit") for record in self.stations]
         )
-        known = [
-            test for lack in lacks if lack is not None and (test := lack.noise_test) is not None
-        ]
-        if known and len(known) == len(lacks):
-            return min(known, key=lambda test: test.p_value)
-        if self.chi2_p_value is None or self.arrivals is not None:
-            return None
-        return NoiseTest(
-            "the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value
+        return _Grounds(
+            lacks=lacks,
+            p_value=self.chi2_p_value,
+            reduced=self.chi2_reduced,
+            arrivals=self.arrivals,
+            doubts=self.doubts,
+            is_usable=self.converged and not self.doubt,
+            degrees=self.degrees,
         )
 
     def verdict_of(self, *, incomplete: bool = False) -> Verdict:
         """Return whether the model explains the data; ``incomplete`` is the finding of a search
         that it does not.
         """
-        unusable = bool(self.doubt) or not self.converged
-        few = not is_informative(self.degrees)
-        return judge(
-            self.noise_test, self.doubts, unusable=unusable, incomplete=incomplete, few=few
-        )
+        return self._grounds.verdict(incomplete=incomplete)
 
     @property
     def left_out_mm(self) -> tuple[float, float] | None:
@@ -326,6 +375,35 @@ def result_of(
         intervals=_intervals(stations) or UNSET,
         **_by_station(stations, assessed.moves),
     )
+
+
+def verdict_on(
+    fit: ModelFit,
+    rows: Sequence[StationRows],
+    *,
+    incomplete: bool,
+    notes: Sequence[Note] = (),
+    left_out: Sequence[LeftOut] = (),
+    validated: Validated | None = None,
+    arrivals: float | None = None,
+) -> Verdict:
+    """Return the verdict on a calibration, as of :meth:`Result.verdict_of` of what
+    :func:`result_of` returns, whose arguments these are; its parameters are not explained for it.
+    """
+    stations = _to_assess(fit, rows, left_out, validated)
+    assessed = _Assessed(fit, stations, is_left_out=bool(left_out))
+    found = assessed.findings(arrivals)
+    solved = _solved(fit.solution)
+    grounds = _Grounds(
+        lacks=[station.lack_of_fit for station in stations],
+        p_value=assessed.p_value,
+        reduced=solved["chi2_reduced"],
+        arrivals=arrivals,
+        doubts=doubts_of([*notes, *(n.note for n in found)]),
+        is_usable=solved["converged"] and not any(n.kind in UNUSABLE for n in found),
+        degrees=assessed.read.degrees,
+    )
+    return grounds.verdict(incomplete=incomplete)
 
 
 def _on_rows(stations: Sequence[AssessedStation], *, is_left_out: bool) -> Iterator[Caveat]:

@@ -30,7 +30,7 @@ from pincal.calibration.benefit import without_harm
 from pincal.calibration.calibration import Calibration, FittedTables, fit_admitted
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import HeldBack, LeftOut, Validated, by_stops, leave_out_stations
-from pincal.calibration.result import result_of
+from pincal.calibration.result import result_of, verdict_on
 from pincal.calibration.stated import stated
 from pincal.calibration.validation import Validation
 from pincal.calibration.visit_findings import is_shifted
@@ -349,9 +349,9 @@ class _Ended:
         more = [doubt_of_regions(findings.regions)]
         more += [] if self.rest is None else [Note(Severity.NOTE, note_on_remainder(self.rest))]
         notes = doubts_first([*notes, *filter(None, more)])
-        given = partial(result_of, rows=first.stations, notes=notes, left_out=left_out)
-        given = partial(given, seconds=0.0, arrivals=self.arrivals)
-        result = given(self.fit, validated=self.validated)
+        given: dict[str, Any] = {"rows": first.stations, "notes": notes, "left_out": left_out}
+        given |= {"arrivals": self.arrivals}
+        result = result_of(self.fit, validated=self.validated, seconds=0.0, **given)
         # The search decides whether the model is inadequate; whether it is adequate, the rule
         # common to all commands.
         incomplete = findings.verdict is Verdict.NOT_ADEQUATE
@@ -359,7 +359,7 @@ class _Ended:
         if self.rest is not None:
             named = widened(self.named)
             validated = Validated.of(named, first.stations, first.folds)
-            verdict = given(named, validated=validated).verdict_of(incomplete=incomplete)
+            verdict = verdict_on(named, validated=validated, incomplete=incomplete, **given)
         known, result = stated(self.fit, result, verdict)
         final = Calibration(first.robot, first.stations, known, result, notes, self.validated)
         findings = changed(findings, verdict=verdict, warnings=result.warnings)
