@@ -156,6 +156,22 @@ def test_parameters_spent_are_found_without_the_posterior() -> None:
     assert Posterior(Form.of(H), sizes, np.zeros(9), believed=believed).effective == pytest.approx(of_data, rel=1e-9)
 
 
+@pytest.mark.parametrize("is_exact", [False, True])
+def test_what_further_parameters_gain_is_the_difference_to_those_before(is_exact: bool) -> None:
+    """Of frames without a prior, which are kept, and of others; also where only eigenvectors are free of rounding."""
+    rng = np.random.default_rng(7)
+    J, r = rng.normal(size=(9, 40)) * 10.0 ** rng.uniform(-2.0, 2.0, (9, 1)), rng.normal(size=40)
+    J *= 1e6 if is_exact else 1.0
+    sizes = np.r_[np.inf, np.inf, rng.uniform(0.1, 3.0, 7)]
+    whole = Posterior(Form.of(J @ J.T, J @ r), sizes, np.r_[0.0, 0.0, rng.normal(size=7)])
+    kept = np.arange(9) < 6
+    beyond = whole.gains_beyond(kept)
+
+    for more in (~kept, np.arange(9) == 7, np.zeros(9, bool)):
+        expected = whole.gain(kept | more) - whole.gain(kept)
+        assert beyond(more) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
 def test_what_is_believed_beyond_priors_is_kept_by_its_entries() -> None:
     """The same as of whole matrices, of some parameters or of all, when it is asked for first and again."""
     rng = np.random.default_rng(5)

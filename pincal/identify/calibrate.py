@@ -600,7 +600,8 @@ def _is_missed(
     if is_exact(wide.whole, usual_sizes(problem, sizes)[found.free]):
         # The smallest deviation counts, and is lost in the rounding of H.
         return bool(np.any(fitted.estimated > rounding(problem))), found
-    gain = wide.gain(np.ones(len(wide.is_shared), bool)) - wide.gain(fitted.free[found.free])
+    kept = fitted.free[found.free]
+    gain = wide.gains_beyond(kept)(~kept)
     # Rows that are correlated hold as much information as blocks of them do.
     return bool(gain / fitted.widened > chdtri(int(held.sum()), CRITERIA.unexcited)), found
 

@@ -56,9 +56,8 @@ def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
     if not candidates:
         return RequiredFeatures((), 0.0)
     gain = _gains(fit, candidates)
-    without = gain()
     most = gain(*candidates)
-    if most - without <= least:
+    if most <= least:
         return RequiredFeatures((), 0.0)
 
     def scores(found: tuple[Effect, ...]) -> Iterator[Scored[Effect]]:
@@ -71,11 +70,11 @@ def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
     found = select_stepwise(
         tuple[Effect, ...](), scores, lambda found, effect: (*found, effect), most=len(candidates)
     )
-    return RequiredFeatures(found, gain(*found) - without)
+    return RequiredFeatures(found, gain(*found))
 
 
 def _gains(fit: ModelFit, candidates: Sequence[Effect]) -> Callable[..., float]:
-    """Return the function that gives the gain of some of the candidates, to first order, with all
+    """Return the function that gives the gain of some of the candidates, to first order, given all
     that is free in the fit.
     """
     wider = fit.with_effects((*fit.options.effects, *candidates))
@@ -89,11 +88,12 @@ def _gains(fit: ModelFit, candidates: Sequence[Effect]) -> Callable[..., float]:
     free[list(places.values())] = True
     sigma = np.maximum(near.sigma, rounding(problem))
     posterior = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
+    beyond = posterior.gains_beyond(held[free])
 
     def gain(*released: Effect) -> float:
-        kept = held.copy()
-        kept[[places[effect] for effect in released]] = True
-        return posterior.gain(kept[free])
+        more = np.zeros(len(free), bool)
+        more[[places[effect] for effect in released]] = True
+        return beyond(more[free])
 
     return gain
 

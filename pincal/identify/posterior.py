@@ -345,6 +345,46 @@ class Posterior:
         some = self.part(np.flatnonzero(kept[self.is_shared]))
         return float((some.form.g - some.offsets / some.sizes**2) @ some._quick_step)
 
+    def gains_beyond(self, kept: np.ndarray) -> Callable[[np.ndarray], float]:
+        """Return the function that tells how much more than :meth:`gain` with some of all
+        parameters a step gains if others, a mask of all, may move as well.
+
+        The former are eliminated once for all of these.
+        """
+        is_kept = kept[self.is_shared]
+        rest = self._beyond(np.flatnonzero(is_kept), np.flatnonzero(~is_kept))
+        if rest is None:
+            before = self.gain(kept)
+            return lambda more: self.gain(kept | more) - before
+        return lambda more: rest.gain(more[self.is_shared][~is_kept])
+
+    def _beyond(self, kept: np.ndarray, others: np.ndarray) -> Posterior | None:
+        """Return the posterior of the others, those kept at their best; None where rounding
+        forbids.
+        """
+        base = self.part(kept)
+        factor = base._factor()
+        if factor is None:
+            return None
+        across = self.form.H[kept[:, None], others]
+        slope = base.form.g - base.offsets / base.sizes**2
+        taken = base._by_factor(factor, np.column_stack([across, slope]))
+        H = self.form.H[others[:, None], others] - across.T @ taken[:, :-1]
+        form = Form(H, self.form.g[others] - across.T @ taken[:, -1], self.form.whole[others])
+        return Posterior(form, self.sizes[others], self.offsets[others])
+
+    def _by_factor(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Return the inverse of the posterior precision times columns, shape (F, n), by the factor
+        of :meth:`_factor`.
+        """
+        prior, frames = self._parts
+        D = self.sizes[prior, None]
+        found = np.empty(right.shape)
+        reduced = (right[prior] - self._follow.T @ right[frames]) * D
+        found[prior] = D * cho_solve((factor, True), reduced, check_finite=False)
+        found[frames] = self._frames[0] @ right[frames] - self._follow @ found[prior]
+        return found
+
     @cached_property
     def _quick_step(self) -> np.ndarray:
         """The step; where rounding permits by a Cholesky factor, in a tenth of the time of the
