@@ -16,7 +16,7 @@ from pincal import Options, Robot, measurements_from_arrays, run_calibration, ru
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.result import ResultFile, verdict_on
+from pincal.calibration.result import ResultFile
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.notes import Note, Severity, doubts_first
@@ -134,17 +134,6 @@ def test_estimated_noise_is_no_judge_of_a_search_either() -> None:
 def shifted() -> Calibration:
     """Return the calibration of a table whose second half is shifted by 2 mm."""
     return run_calibration(Robot.from_urdf(URDF), rows(100, shift_from=50), Options(effects=GEOMETRIC))
-
-
-@pytest.mark.parametrize(("cycles", "sigma"), [(1, None), (1, 5e-5), (1, 5e-6), (2, None), (2, 5e-6)])
-def test_a_verdict_alone_is_that_of_the_whole_result(shifted: Calibration, cycles: int, sigma: float | None) -> None:
-    """Of noise that is estimated, declared, declared too small, and told by repeats; a search may add that it is not all."""
-    found = run_calibration(Robot.from_urdf(URDF), rows(60, cycles=cycles), Options(effects=GEOMETRIC, sigma=sigma))
-
-    for of in (found, shifted):
-        for incomplete in (False, True):
-            alone = verdict_on(of.fit.fit, of.stations, notes=of.notes, validated=of.validated, incomplete=incomplete)
-            assert alone is of.result.verdict_of(incomplete=incomplete)
 
 
 @pytest.mark.long

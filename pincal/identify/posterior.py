@@ -381,7 +381,7 @@ class Posterior:
         D = self.sizes[prior, None]
         found = np.empty(right.shape)
         reduced = (right[prior] - self._follow.T @ right[frames]) * D
-        found[prior] = D * cho_solve((factor, True), reduced, check_finite=False)
+        found[prior] = D * dpotrs(factor, reduced, lower=1)[0]
         found[frames] = self._frames[0] @ right[frames] - self._follow @ found[prior]
         return found
 
