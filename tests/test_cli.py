@@ -547,3 +547,25 @@ def test_files_in_each_other_s_place_are_told(
 
     assert run(*(files.get(word, word) for word in words)) == 3
     assert said in capsys.readouterr().err
+
+
+def test_a_slip_in_the_name_of_a_joint_above_the_base_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without its column the rail was taken to stand still; one that is not there at all, or a neighbour's, is no slip."""
+    text = Path(kuka_urdf_path()).read_text(encoding="utf-8")
+    rail = (
+        '<link name="world"/><joint name="rail_1" type="prismatic"><parent link="world"/><child link="base_link"/>'
+        '<axis xyz="1 0 0"/><limit lower="0" upper="4" effort="1" velocity="1"/></joint>'
+    )
+    robot, table = tmp_path / "rail.urdf", tmp_path / "t.csv"
+    robot.write_text(text.replace("</robot>", f"{rail}</robot>"))
+    assert run("simulate", robot, "--poses", "20", "--seed", "1", "--out", table, "--quiet") == 0
+    header, rows = table.read_text().split("\n", 1)
+    capsys.readouterr()
+
+    table.write_text("\n".join([header.replace("rail_1", "rial_1"), rows]))
+    assert run("check", robot, table, "--cell", "none") == 3
+    assert 'no column for joint "rail_1" (is it "rial_1"?)' in capsys.readouterr().err
+
+    table.write_text("\n".join([header.replace("rail_1", "travel"), rows]))
+    run("check", robot, table, "--cell", "none")
+    assert "no column for joint" not in capsys.readouterr().err

@@ -50,8 +50,8 @@ class CaveatKind(Enum):
     )
     NOT_IMPROVED = (
         "these readings are too few or too noisy to improve the robot safely: within the joint "
-        "limits its URDF is expected to be off by {nominal:.2g} mm rms, the geometry that they "
-        "suggest by {calibrated:.2g} mm. It stays as in its URDF; only instrument and target are "
+        "limits its URDF is expected to be off by {nominal:.3g} mm rms, the geometry that they "
+        "suggest by {calibrated:.3g} mm. It stays as in its URDF; only instrument and target are "
         "calibrated. Measure more poses, or with less noise"
     )
     NARROWED = (

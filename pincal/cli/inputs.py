@@ -28,7 +28,13 @@ from pincal.cli.common import (
 from pincal.cli.progress import log_step
 from pincal.cli.robot_priors import load_prior
 from pincal.cli.streams import Streams, no_streams
-from pincal.errors import BadInputError, ChangedRobotError, counted, nearest_first
+from pincal.errors import (
+    BadInputError,
+    ChangedRobotError,
+    MeasurementError,
+    counted,
+    nearest_first,
+)
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
@@ -37,7 +43,7 @@ from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.log_reader import joints_of_log
 from pincal.measure.measurements import Measurements
 from pincal.measure.points_table import read_distances, read_points
-from pincal.measure.reader import links_of_rows, of_path
+from pincal.measure.reader import links_of_rows, nearly_named, of_path
 from pincal.measure.table import joint_columns, read_measurements, stations_of
 from pincal.measure.table_schema import TableOptions
 from pincal.model.catalogue.candidates import find_effect
@@ -263,7 +269,7 @@ def _described(source: InputOptions) -> Robot:
         wanted = TreeRequest(
             base=source.base, joints=(*named.joints[0], *on_way) or None, others=rested
         )
-        return Robot.from_tree(tree, wanted, mass=source.mass)
+        return _without_slip(Robot.from_tree(tree, wanted, mass=source.mass), tree, source)
     base = source.base or tree.root
     recorded = tuple(dict.fromkeys(name for columns in named.joints for name in columns))
     wanted = TreeRequest(
@@ -275,6 +281,27 @@ def _described(source: InputOptions) -> Robot:
         others=[name for name in (*recorded, *rested) if name in movable],
     )
     return Robot.from_tree(tree, wanted, mass=source.mass)
+
+
+def _without_slip(robot: Robot, tree: UrdfTree, source: InputOptions) -> Robot:
+    """Return the robot unless the name of a joint above its base is misspelt in the table: without
+    its column the joint would be taken to stand still.
+
+    Raises:
+        MeasurementError: with the column and the joint.
+    """
+    if source.base is not None or not source.data or joints_of_log(source.data[0]) is not None:
+        return robot
+    table = source.data[0]
+    above = [joint.name for joint in tree.above(robot.base) if joint.kind in MOVING_TYPES]
+    known = [joint.name for joint in tree.joints]
+    found = nearly_named(table, above, source.table.options, known=known) if above else None
+    if found is not None:
+        raise MeasurementError(
+            f'{table.name}: no column for joint "{found[1]}" (is it "{found[0]}"?); expected a '
+            f"column named as in the URDF, or --base {robot.base} if that joint stood still"
+        )
+    return robot
 
 
 def load_tables(

@@ -7,6 +7,7 @@ Measurements, targets of a compensation and lists of known points are tables of 
 from __future__ import annotations
 
 import contextlib
+import difflib
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,8 @@ from pincal.thresholds import Scale
 
 # Step by which the direction of dependent joints is determined [rad or m].
 _SMALL: Scale = 1e-4
+# Likeness of a column's name to a joint's, from which it may be a slip of the pen.
+_SLIP: Scale = 0.75
 # Formats that other programs can convert to one that is read.
 _OTHERS = (".xls", ".xlsb", ".ods", ".numbers", ".pkl", ".pickle", ".h5", ".hdf5")
 
@@ -400,6 +403,33 @@ def joint_columns(
     if by_words and not any(found):
         found = [(joint, "") for family in joint_families(labels, known)[:1] for joint in family]
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
+
+
+def nearly_named(
+    path: str | os.PathLike[str],
+    joints: Sequence[str],
+    options: TableOptions,
+    *,
+    known: Collection[str],
+) -> tuple[str, str] | None:
+    """Return a column of a table that is of none of the ``known`` joints, and whose name is nearly
+    that of one of some joints without a column; and that joint. None if there is none.
+
+    Raises:
+        MeasurementError: for a file that can't be read.
+    """
+    place = Path(path if options.joints is None else options.joints)
+    with typed_errors(place):
+        sheet = open_sheet(place, ignore=options.ignore, only_joints=True, sheet=options.sheet)
+        labels = renamed(sheet.labels, _named_here(sheet, options), source=place.name)
+    angles = dict.fromkeys(known, "angle")
+    lengths = dict.fromkeys(known, "length")
+    for label in labels:
+        is_known = spelled(label, angles) or spelled(label, lengths)
+        close = difflib.get_close_matches(label.name, joints, n=1, cutoff=_SLIP)
+        if close and not is_known:
+            return label.text, close[0]
+    return None
 
 
 def of_path(
