@@ -64,9 +64,10 @@ _ROUNDED: Scale = 0.03
 _STEADY: Scale = 0.05
 # Change of robust weights below which they are settled.
 _SETTLED: Scale = 1e-3
-# Largest step, in units of the priors' sizes, over which the normal matrix stays the same to four
-# digits, whatever columns grow with a deviation; it is short, too.
-_NEARBY: Scale = 1e-3
+# Largest step, in units of the priors' sizes, over which the normal matrix stays the same to some
+# six digits, whatever columns grow with a deviation; it is short, too. Of steps a hundred times as
+# long the next one is told too badly: a search took another path.
+_NEARBY: Scale = 1e-5
 # Number of steps kept, and the ratio of successive steps above which they are used.
 _MEMORY: Count = 4
 _SLOW: Scale = 0.3
