@@ -7,6 +7,8 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,22 @@ def inline_svg(request: pytest.FixtureRequest) -> Iterator[Callable[..., str]]:
 def drawn(inline_svg: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw the figures of pages in a test."""
     monkeypatch.setattr(illustrations, "inline_svg", inline_svg)
+
+
+class Here(Executor):
+    """Does tasks at once in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Return what a task has come to."""
+        done = Future[Any]()
+        done.set_result(fn(*args, **kwargs))
+        return done
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let commands do here what they spread over processes, each of which would import the library first."""
+    monkeypatch.setattr("pincal.cli.fitting.own_processes", lambda: nullcontext(Here()))
 
 
 @pytest.fixture

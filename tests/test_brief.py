@@ -127,6 +127,7 @@ def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, 
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("more", [("--split", "station"), ()])
 def test_three_stations_take_fourteen_lines(
     days: list[Path], tmp_path: Path, more: tuple[str, ...], capsys: Capture
@@ -169,6 +170,7 @@ def test_real_tables_take_fourteen_lines(name: str, verb: str, shared_data: Path
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 def test_a_hidden_effect_of_the_demo_takes_fourteen_lines(tmp_path: Path, capsys: Capture) -> None:
     """The table of its second act, with the elliptical gear wheel."""
     table = tmp_path / "m.csv"

@@ -205,6 +205,7 @@ def days(tmp_path_factory: pytest.TempPathFactory, elastic_machine: sim.TrueMach
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 def test_a_station_is_predicted_by_the_others(days: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each by a model that never saw it, up to the place of tracker and target: as SciPy's least squares finds that."""
     assert run("calibrate", URDF, *days, "--split", "station", "--quiet", "--out", tmp_path) == 0
@@ -312,6 +313,7 @@ def test_the_only_station_is_not_left_out(days: list[Path], tmp_path: Path, caps
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 def test_discovery_finds_what_both_days_show(
     tmp_path: Path, days: list[Path], machine: sim.TrueMachine, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -364,6 +366,7 @@ def test_an_offset_that_jumped_is_named_with_its_station(tmp_path: Path, machine
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 def test_placements_of_a_pair_of_sockets_are_stations(shared_data: Path, tmp_path: Path) -> None:
     """A Panda's ball in two sockets at two places: each is predicted by the other to a seventh of the nominal error."""
     table = pl.read_csv(shared_data / "panda_sockets" / "panda_3.csv")

@@ -174,6 +174,7 @@ SLOW = ("what-is-missing", "poses")
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     "page",
     [

@@ -40,6 +40,7 @@ def machine():
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 def test_a_hidden_effect_is_found_again(tmp_path, capsys):
     """A simulated table goes straight into discover, which names the effect and shrinks the gap to the noise."""
     arguments = ["--payload", "0,80", "--payload-com", ".02", ".01", ".1", "--masses-off", "3"]

@@ -110,6 +110,7 @@ def test_few_poses_are_not_judged(poses: int, cycles: int, sigma: float) -> None
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(("poses", "noise"), [(["8"], "0.05mm"), (["10", "--cycles", "3"], "0.002mm")])
 def test_few_poses_are_searched_and_not_judged(poses: list[str], noise: str, tmp_path: Path, capsys: Capture) -> None:
     """Halves of eight poses tell next to nothing of what a fit does not take; that ended as an internal error."""
