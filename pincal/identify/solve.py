@@ -46,8 +46,6 @@ _ROUGH: Scale = 0.1
 _LONG: Count = 20_000_000
 # After a step that moves them by less than this, products of the columns are much the same.
 _ALIKE: Scale = 0.3
-# The same, to the length of a step after which they were not.
-_SHRUNK: Scale = 0.3
 # Damping of steps by such products, in units of the priors' precision: directions that readings
 # hardly tell turn with the values, and would be taken for others.
 _STIFF: Scale = 1000.0
@@ -213,7 +211,8 @@ class _Run:
         self.judge = Judge(problem, free, noise, course.loss)
         self.is_along_rows = any(station.serial is not None for station in problem.stations)
         size = problem.readings(np.ones(len(problem))).sum() * np.count_nonzero(free)
-        self.is_long = self.is_along_rows and bool(size > _LONG)
+        # Of a rough fit all that readings hardly tell moves, as the next one begins there.
+        self.is_long = self.is_along_rows and not course.rough and bool(size > _LONG)
         self.wanted = np.inf
         self.near: tuple[Normal, ...] | None = None
         self.alike: float = _ALIKE
@@ -520,7 +519,7 @@ class _Run:
             return trial.there
         if self.point.near is not None and not trial.succeeds(step):
             # The products changed too much since they were summed.
-            self.alike = _SHRUNK * self.wanted
+            self.alike = self.wanted
             self.point = self.point.exactly()
             step, square = self.gauss_newton()
             self.wanted = self.length(square)
