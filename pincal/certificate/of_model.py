@@ -37,6 +37,7 @@ from pincal.model.conditions import Conditions
 from pincal.notes import Note, doubts_of
 from pincal.report.report_numbers import REPORT
 from pincal.report.words import noise_origin, noise_words
+from pincal.sensors.registry import is_held
 from pincal.thresholds import Count
 from pincal.units import readable_unit, show_measured
 from pincal.validate.misfit import Verdict, worst
@@ -348,7 +349,7 @@ def source_of_lengths(fitted: FittedRobot) -> str:
     """Return what gives the unit of length where the arm was held in sockets alone; empty if an
     instrument read it, or the sockets.
     """
-    setups = [station.setup for station in fitted.stations if station.sensor_kind == "socket"]
+    setups = [station.setup for station in fitted.stations if is_held(station.sensor_kind)]
     is_measured = any(place is not None for setup in setups for place in setup.points.values())
     if len(setups) < len(fitted.stations) or is_measured:
         return ""

@@ -38,6 +38,7 @@ from pincal.model.conditions import Conditions
 from pincal.parameters import FRAME_SYMBOLS, estimate_of
 from pincal.recorded import RECORDABLE, RECORDED, typical_columns
 from pincal.robot.robot import Robot
+from pincal.sensors.registry import is_held
 from pincal.thresholds import Count, Scale
 
 log = logging.getLogger(__name__)
@@ -480,7 +481,7 @@ def calibrated_sockets(model: FittedRobot) -> SensorSetup | None:
     sockets again; None of another robot, or of contacts between two hands.
     """
     robot = model.model.chain.robot
-    if model.sensor_kind != "socket" or robot.path.start != robot.base:
+    if not is_held(model.sensor_kind) or robot.path.start != robot.base:
         return None
     middle = model.covered.q.mean(axis=1)[None]
     T_instrument_base = base_in_instrument(model, Conditions.at(robot.following(middle)))[0]
@@ -494,7 +495,7 @@ def calibrated_sockets(model: FittedRobot) -> SensorSetup | None:
     }
     places = [(np.array(place) - T_instrument_base[:3, 3]) @ turn for place in found.values()]
     held_at = tuple((float(x), float(y), float(z)) for x, y, z in places)
-    return SensorSetup(sensor="socket", held_at=held_at, held_names=tuple(found))
+    return SensorSetup(sensor=model.sensor_kind, held_at=held_at, held_names=tuple(found))
 
 
 def _on_sockets(rig: SensorSetup) -> Iterator[str]:

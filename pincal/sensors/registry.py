@@ -93,6 +93,14 @@ def columns_of(kind: str) -> tuple[str, ...]:
     return tuple(column for field in sensor.fields for column in field.columns)
 
 
+def is_held(kind: str) -> bool:
+    """Return whether readings of a kind are that a target was held at a fixed place: without the
+    places, or distances between them, they have no unit of length.
+    """
+    sensor = simulatable().get(kind)
+    return sensor is not None and sensor.needs_places
+
+
 def simulatable() -> Mapping[str, type[Simulatable]]:
     """Return the sensors for which measurements can be designed, by kind."""
     return {
