@@ -493,6 +493,27 @@ def test_equations_carried_over_a_short_step_are_those_at_its_end(kuka, noisy, s
     assert known.square(step - wanted) < 1e-6 * known.square(wanted)
 
 
+def test_a_point_with_products_from_elsewhere_has_its_own_again(kuka, noisy):
+    """After that nothing is left of these, and until then nothing is carried on from them or kept for the point."""
+    fit = fit_tables(kuka, [noisy[0]], OPTIONS)
+    free, sigma = fit.solution.free, fit.solution.sigma
+    rest = fit.solution.weights, fit.priors.sizes
+    values = fit.values.copy()
+    values[free] += 0.1 * np.minimum(fit.priors.sizes[free], 1e-3)
+    elsewhere = Linearised(replace(fit.problem), values, free, *rest)
+    elsewhere.posterior(sigma)
+    own = Linearised(replace(fit.problem), fit.values, free, *rest).posterior(sigma)
+
+    of_others = Linearised(replace(fit.problem), fit.values, free, *rest, near=elsewhere.known_normals())
+    H = of_others.posterior(sigma).form.H
+    again = of_others.exactly().posterior(sigma).form
+
+    np.testing.assert_array_equal(H, elsewhere.posterior(sigma).form.H)
+    np.testing.assert_array_equal(again.H, own.form.H)
+    np.testing.assert_array_equal(again.g, own.form.g)
+    assert not np.allclose(H, own.form.H, rtol=1e-6) and not of_others.may_be_carried
+
+
 @pytest.mark.parametrize("changed", [7, 300])
 def test_new_weights_of_some_rows_give_the_normal_equations_of_all(curved, changed):
     """Summed anew for rows whose weights changed, outliers of metres among them, or for all: the same equations."""

@@ -119,7 +119,9 @@ class Linearised:
 
     @property
     def may_be_carried(self) -> bool:
-        """Whether normal equations are kept in any case, whatever computes them."""
+        """Whether normal equations are those of this point, and kept whatever computes them."""
+        if self.near is not None:
+            return False
         return len(self.problem.stations) == 1 or self._size <= _MOST_KEPT
 
     def carried_to(self, values: np.ndarray) -> Linearised:
@@ -143,7 +145,15 @@ class Linearised:
         """Return the same point with normal equations that are its own."""
         if self.near is None:
             return self
-        return replace(self, squares_first=False, normals={}, sums={}, weighed=None, near=None)
+        return replace(
+            self,
+            squares_first=False,
+            normals={},
+            sums={},
+            posteriors={},
+            weighed=None,
+            near=None,
+        )
 
     def known_normals(self) -> tuple[Normal, ...] | None:
         """Return the normal equations of each batch, if they are kept, summed, and of a single
