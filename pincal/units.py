@@ -412,6 +412,8 @@ def show_size(places: int) -> Callable[[float], str]:
 
 # Decimal places beyond which a number is shown with an exponent.
 _MOST_PLACES: Count = 6
+# Chance below which its size means nothing more.
+_LEAST_CHANCE: Scale = 1e-10
 
 
 def show_limits(least: float, largest: float, show: Callable[[float], str]) -> str:
@@ -432,8 +434,13 @@ def show_percent(share: float | None) -> str:
 
 
 def show_chance(p_value: float) -> str:
-    """Return a p-value as text; one that underflows is given by a bound."""
-    return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
+    """Return a p-value as text, to two digits; one that is beyond doubt is given by a bound.
+
+    Example:
+        >>> [show_chance(p_value) for p_value in (0.27, 1.2e-5, 1e-130, 0.0)]
+        ['0.27', '1.2e-05', '<1e-10', '<1e-10']
+    """
+    return f"{p_value:.2g}" if p_value >= _LEAST_CHANCE else f"<{_LEAST_CHANCE:.0e}"
 
 
 def show_value(quantity: Quantity | None) -> str:

@@ -230,6 +230,29 @@ def test_the_uncertainty_of_positions_is_twice_the_root_of_the_budget(known: Fit
     assert of_model.groups[-1].figures[2].value == pytest.approx(2.0 * combined)
 
 
+def test_an_open_turn_of_the_base_is_no_uncertainty_of_the_arm(kuka: Robot, tmp_path: Path) -> None:
+    """Contacts leave it open: the sheet has U of what they tell, and the report's figures; 2 mm were a Panda's of 0.2 mm."""
+    model = Model(Chain.of(kuka), (*GEOMETRIC, BaseFrame(()), ToolFrame(FRAME_SYMBOLS[:3])))
+    sigma = np.where([name == "joint_1.theta" for name in model.names], 2e-3, 1e-6)
+    estimate = estimate_of(model.parameters, 0.0 * sigma, np.diag(sigma**2))
+    found = calibrated_of(model, 0.0 * sigma).with_model(model, estimate)
+    found.save(tmp_path / "model.json")
+    of_arm = {"link": "tool0", "poses": 60, "before_mm": 2.0}
+    regions = [
+        of_arm | {"region": region, "after_mm": size} for region, size in (("measured poses", 0.1), ("far, low", 0.3))
+    ]
+    result = {key: RESULT[key] for key in RESULT if key not in ("elsewhere", "uncertainty")}
+    result |= {"parameters": parameters_of(found), "improvement": regions}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+
+    group = certificate_of_model(tmp_path / "model.json", Identity(), ISSUE).groups[-1]
+    U, *of_report = (figure.value for figure in group.figures)
+
+    assert "once base and target are located" in group.remark
+    assert 0.0 < U < 0.02 < 2e3 * float(np.max(found.position_sigma(found.conditions_at(np.full((1, 6), 0.3)))))
+    assert of_report == [0.1, 0.3]
+
+
 def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
     """The certificate of a part has the digits of measured.json, and says undecided by the words of the schema."""
     xml = digital_certificate(of_part).decode()

@@ -13,15 +13,17 @@ import msgspec
 import numpy as np
 import pytest
 from diagnosis_cases import KINDS, draw_case
+from test_health_check import SOCKETS, TOOL, machine_and_model, touched
 
 import pincal
 from pincal import ELASTIC, FittedRobot, Measurements, Options, Robot
 from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.placing import place_station
 from pincal.cli import main
+from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.diagnosis.diagnosis_file import DiagnosisFile
 from pincal.diagnosis.diagnosis_page import excluded_table, headline, lines
-from pincal.diagnosis.excluded import most_different_poses, separation, tell_apart
+from pincal.diagnosis.excluded import _pose_words, most_different_poses, separation, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.robot_diagnosis import Diagnosis, changes_since
 from pincal.diagnosis.row_evidence import Known
@@ -151,6 +153,25 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monk
     exact = apart * 2.3e-9 / apart[0]
     monkeypatch.setattr("pincal.diagnosis.excluded.most_different_poses", lambda *_: (there, exact))
     assert tell_apart(verdict, step).startswith("the two differ by at most 2.3e-06 mm, too little for any instrument;")
+
+
+def test_poses_that_tell_two_changes_apart_are_in_the_sockets_of_the_cell() -> None:
+    """Where the ball is held, it is held in the poses that are suggested, and the socket is named."""
+    machine, model = machine_and_model(3)
+    rig = SensorSetup("socket", tool=TOOL, held_at=tuple(SOCKETS.values()))
+    rng = np.random.default_rng(4)
+    held = Reach(model.model.chain.robot, rig, Limits()).draw(16, rng).q
+    placed = place_station(model, touched(machine, held, rng))
+    verdict = changes_since(model, placed, 0.01)
+
+    there, apart = most_different_poses(verdict, 0, 3)
+    targets = verdict.lineup.robot.predict(there.conditions)[:, :, 3]
+    rows = verdict.lineup.robot.predict(verdict.lineup.station.conditions)[:, :, 3]
+
+    assert len(apart) > 100 and (np.diff(apart) <= 0.0).all()
+    assert np.linalg.norm(targets[:, None] - rows, axis=2).min(axis=1).max() < 1e-6
+    assert len(np.unique(there.conditions.q.round(2), axis=0)) > 100
+    assert _pose_words(verdict, there, 0).split()[-1] in SOCKETS
 
 
 @pytest.fixture(scope="module")

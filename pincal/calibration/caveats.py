@@ -251,9 +251,7 @@ class Caveat:
         lines = ", ".join(map(str, self.rows[:_LISTED])) + " ..." * (len(self.rows) > _LISTED)
         figures: dict[str, Any] = {"count": len(self.rows), "lines": lines} | self.figures
         if "p_value" in figures:
-            chance = figures["p_value"]
-            # A chance that underflows is given by a bound.
-            figures["p_value"] = f"{chance:.1g}" if chance > 0.0 else show_chance(chance)
+            figures["p_value"] = show_chance(figures["p_value"])
         words = self.kind.value.format(**figures)
         return f"{self.station}: {words}" if self.station else words
 

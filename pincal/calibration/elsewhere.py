@@ -77,9 +77,8 @@ def elsewhere_of(robot: FittedRobot, task: Measurements | None = None) -> Elsewh
         conditions = _recorded_as(
             at.conditions, model.conditions(named), np.random.default_rng(_SEED)
         )
-    expected = 1e3 * expected_lengths(
-        _covariances(model, conditions, placed=at.position is not None)
-    )
+    covariances = np.asarray(sum(position_covariances(model, conditions).values()))
+    expected = 1e3 * expected_lengths(covariances)
     measured = np.vstack(
         [one.conditions.q for one in fit.problem.stations if one.sensor.reads_place]
     )
@@ -135,23 +134,24 @@ def _recorded_as(
     return replace(conditions, **columns)
 
 
-def _covariances(model: FittedRobot, conditions: Conditions, *, placed: bool) -> np.ndarray:
-    """Return the covariances of predicted positions, shape (N, 3, 3) [m^2].
+def position_covariances(model: FittedRobot, conditions: Conditions) -> dict[str, np.ndarray]:
+    """Return the covariances of predicted positions by their sources, shape (N, 3, 3) each [m^2].
 
-    Where readings are positions in the instrument's frame, ``placed``, so are these. Other readings
-    may not determine that frame; these are then the covariances that remain with instrument and
-    target placed as well as possible.
+    Where readings tell where the base stands, these are of positions in the instrument's frame.
+    Other readings leave that frame open; these are then the covariances that remain with instrument
+    and target placed as well as possible at these poses.
     """
-    by_source = dict(model.covariance_of(conditions).sources)
-    if placed:
-        return np.asarray(sum(errors.blocks for errors in by_source.values()))
-    del by_source["parameters"]
+    found = {
+        name: errors.blocks for name, errors in model.covariance_of(conditions).sources.items()
+    }
+    if model.station.is_placed:
+        return found
     n = model.model.n_parameters
     poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
     along = unplaced(J[:, :3], poses)
     C = model.covariance[:n, :n]
-    found = np.einsum("nip,pq,njq->nij", along, C, along, optimize=True)
-    return np.asarray(found + sum(errors.blocks for errors in by_source.values()))
+    relative = np.einsum("nip,pq,njq->nij", along, C, along, optimize=True)
+    return found | {"parameters": np.asarray(relative)}
 
 
 class _Range(NamedTuple):

@@ -18,6 +18,7 @@ from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
+from pincal.parameters import FRAME_SYMBOLS
 from pincal.sensors.setup import Setup
 from pincal.units import real_array
 
@@ -82,6 +83,16 @@ class FittedStation:
             is_noise_declared=options.sigma is not None,
             repeatability=None if scatter is None else Repeatability.of(scatter),
         )
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether readings tell where the base stands in the instrument's frame, and how it is
+        turned; if not, as of contacts, distances or an IMU, positions are known relative to each
+        other only.
+        """
+        chain = self.model.chain
+        bases = (effect for effect in self.model.effects if effect.locus.acts_on == "base")
+        return all(len(base.parameters(chain)) == len(FRAME_SYMBOLS) for base in bases)
 
     def reads(self, measurements: Measurements) -> bool:
         """Return whether measurements of this kind are predicted: the station's own, or any if it

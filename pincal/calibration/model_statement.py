@@ -26,7 +26,8 @@ class ModelStatement(Record, frozen=True, kw_only=True):
         rests_on: by what its errors were told from noise: noise that was declared, poses that were
             repeated, or nothing but the residuals.
         here: standard uncertainty of a coordinate of predicted positions, root mean square over the
-            poses of the calibration [m]; none where no instrument observed positions.
+            poses of the calibration [m]; none where no instrument observed positions, or where its
+            readings leave open where the base stands, as distances do.
         anywhere: the same over random poses within the joint limits.
     """
 

@@ -52,9 +52,11 @@ def _statement(robot: FittedRobot, result: Result, verdict: Verdict) -> ModelSta
         rests_on=_rests_on(robot.fit),
     )
     at = placed_station(robot.fit)
-    if at is None or at.position is None:
+    if at is None:
         return found
     model = robot.at(at.name)
+    if not model.station.is_placed:
+        return found
     some = evenly(len(at), _POSES)
     return ModelStatement(
         verdict=found.verdict,

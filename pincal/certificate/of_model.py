@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import UNSET
 
 from pincal.calibration.check_record import record_of, record_path
+from pincal.calibration.elsewhere import position_covariances
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.model_statement import COVERAGE_FACTOR
 from pincal.calibration.result import ResultFile
@@ -63,6 +64,12 @@ _WAYS = {
     "held out": "rows that no fit has used",
     "station": "each station predicted by the others",
 }
+_UNCERTAINTY = "Uncertainty of predicted positions"
+# What is said of positions where readings leave open where the base stands.
+_RELATIVE = (
+    "of positions once base and target are located, as the readings do not tell where the base "
+    "stands"
+)
 # Sources that are known otherwise than by statistics of the readings.
 _TYPE_B = {"conditions", "temperature"}
 
@@ -85,7 +92,7 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
     of = _Calibrated.read(path)
     fitted = of.fitted
     stated.require(fitted.identity, str(path))
-    robot = fitted.robot_model()
+    robot = _placed(fitted)
     budget, lacking = _budget_of(robot)
     alarms, checks, files = _of_checks(fitted, path)
     return Certificate(
@@ -97,7 +104,7 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
         facts=_facts(fitted, of.result) | of.searched | checks | lacking,
         verdict=of.verdict.value,
         doubts=(*of.doubts, *alarms),
-        groups=tuple(_groups(of.result, budget)),
+        groups=tuple(_groups(robot, of.result, budget)),
         budget=budget,
         lengths=source_of_lengths(fitted),
         files=of.files | files,
@@ -106,6 +113,14 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
             "certificate by pincal": version("pincal"),
         },
     )
+
+
+def _placed(fitted: FittedRobot) -> FittedRobot:
+    """Return the robot at the first station whose readings tell where its base stands, or at the
+    first.
+    """
+    kinds = (station.sensor_kind for station in fitted.stations if station.is_placed)
+    return fitted.robot_model(next(kinds, None))
 
 
 def _is_mended(path: Path) -> bool:
@@ -122,7 +137,7 @@ def _certificate_of_mended(path: Path, stated: Identity, issue: Issue) -> Certif
     """
     fitted = load_model(path)
     stated.require(fitted.identity, str(path))
-    robot = fitted.robot_model()
+    robot = _placed(fitted)
     budget, lacking = _budget_of(robot)
     said = fitted.statement
     command = str(fitted.provenance.get("command", "")).split()[1]
@@ -143,7 +158,7 @@ def _certificate_of_mended(path: Path, stated: Identity, issue: Issue) -> Certif
         facts={name: text for name, text in facts.items() if text} | checks | lacking,
         verdict=(Verdict.NOT_JUDGED if said is None else said.verdict).value,
         doubts=(*(() if said is None else said.doubts), *alarms),
-        groups=(FigureGroup(title="Uncertainty of predicted positions", figures=figures),)
+        groups=(FigureGroup(title=_UNCERTAINTY, figures=figures, remark=_remark(robot)),)
         if figures
         else (),
         budget=budget,
@@ -260,11 +275,16 @@ def position_budget(robot: FittedRobot) -> Budget:
     """Return the standard uncertainty of one coordinate of predicted positions by its sources, root
     mean squares over poses within the range of the calibration [mm].
 
+    Where readings leave open where the base stands, it is that of the positions once base and
+    target are located, as the errors are that the calibration states.
+
     Raises:
         BadInputError: if an effect needs of each pose what is not kept with the model.
     """
-    variances = robot.position_variances(_covered_poses(robot))
-    squares = {source: float(np.mean(found)) for source, found in variances.items()}
+    covariances = position_covariances(robot, _covered_poses(robot))
+    squares = {
+        source: float(np.mean(np.einsum("naa->na", found))) for source, found in covariances.items()
+    }
     total = sum(squares.values())
     lines = [
         BudgetLine(
@@ -371,7 +391,7 @@ def _validation(result: ResultFile) -> str:
     return _WAYS[result.validation.way] + folds
 
 
-def _groups(result: ResultFile, budget: Budget | None) -> Iterator[FigureGroup]:
+def _groups(robot: FittedRobot, result: ResultFile, budget: Budget | None) -> Iterator[FigureGroup]:
     """Yield the figures."""
     part = "test" if "test" in result.error["calibrated"] else "train"
     rows = result.rows["test" if part == "test" else "train"]
@@ -385,13 +405,15 @@ def _groups(result: ResultFile, budget: Budget | None) -> Iterator[FigureGroup]:
         figures = tuple(_statistics(result.error[model][part], intervals))
         if figures:
             yield FigureGroup(title=title, figures=figures, remark=f"{rows} rows, {seen}")
-    figures = (*_stated(result), *_combined(budget), *_elsewhere(result))
+    figures = (*_stated(result), *_combined(budget), *_elsewhere(result), *_improved(result))
     if figures:
-        yield FigureGroup(
-            title="Uncertainty of predicted positions",
-            figures=figures,
-            remark="U: of one coordinate, root mean square, without noise of new readings",
-        )
+        yield FigureGroup(title=_UNCERTAINTY, figures=figures, remark=_remark(robot))
+
+
+def _remark(robot: FittedRobot) -> str:
+    """Return how the uncertainties of positions are to be read."""
+    how = "U: of one coordinate, root mean square, without noise of new readings"
+    return how if robot.station.is_placed else f"{how}; {_RELATIVE}"
 
 
 def _combined(budget: Budget | None) -> Iterator[Figure]:
@@ -401,6 +423,20 @@ def _combined(budget: Budget | None) -> Iterator[Figure]:
         combined = math.sqrt(sum(line.standard**2 for line in budget.lines))
         name = f"U (k = {k:g}) over the measured ranges"
         yield Figure(name=name, value=k * combined, unit=budget.unit)
+
+
+def _improved(result: ResultFile) -> Iterator[Figure]:
+    """Yield how well positions are known of a robot that no instrument measured, at the measured
+    poses and in the worst region, as its report has it.
+    """
+    if result.improvement is UNSET:
+        return
+    for link in dict.fromkeys(region.link for region in result.improvement):
+        measured, *elsewhere = (region for region in result.improvement if region.link == link)
+        worst_region = max(elsewhere, key=lambda region: region.after_mm, default=measured)
+        for region in dict.fromkeys((measured, worst_region)):
+            name = f"position of {link} (3D, k = 1), {region.region}"
+            yield Figure(name=name, value=region.after_mm, unit="mm")
 
 
 def _stated(result: ResultFile) -> Iterator[Figure]:

@@ -26,6 +26,7 @@ from pincal.report.words import (
 from pincal.result_table import hanging, one_line
 from pincal.robot.robot import Robot
 from pincal.sensors.registry import blocks_of
+from pincal.units import show_chance
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
 
@@ -219,7 +220,7 @@ def _summary(result: Result) -> str:
     chi2 = (
         ""
         if p_value is None
-        else f", reduced chi-square {result.chi2_reduced:.3f} (p {p_value:.2g})"
+        else f", reduced chi-square {result.chi2_reduced:.3f} (p {show_chance(p_value)})"
     )
     rank = rank_words(
         (row.status for row in result.parameters), rank=result.rank, condition=result.condition

@@ -64,24 +64,25 @@ def headline(found: DiagnosisFile) -> str:
         return (
             f"No change was detected in these {found.rows} poses; they differ from the "
             "model beyond chance "
-            f"({_chance(found.p_value)}), in the way in which it was incomplete when the "
+            f"({chance_words(found.p_value)}), in the way in which it was incomplete when the "
             "robot was calibrated."
         )
     if not found.changed:
         return (
-            f"No change was detected in these {found.rows} poses (p = "
-            f"{found.p_value:.2g}): the robot "
-            "still matches its model."
+            f"No change was detected in these {found.rows} poses ({chance_words(found.p_value)}): "
+            "the robot still matches its model."
         )
     changes = "; ".join(
         in_words(change) + (f", {sizes(change)}" if change.parameters else "")
         for change in found.changes
     )
-    return f"The robot has changed ({_chance(found.p_value)}): {changes}."
+    return f"The robot has changed ({chance_words(found.p_value)}): {changes}."
 
 
-def _chance(p_value: float) -> str:
-    return f"p = {show_chance(p_value)}" if p_value > 0.0 else f"p {show_chance(0.0)}"
+def chance_words(p_value: float) -> str:
+    """Return a p-value in words, such as "p = 0.27" or "p <1e-10"."""
+    shown = show_chance(p_value)
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
 
 
 def in_words(change: EffectName) -> str:
@@ -442,7 +443,7 @@ def _changes(found: DiagnosisFile) -> Section | None:
     text = (
         f"Nothing: the calibrated model predicts these {found.rows} poses as well as its "
         "noise allows "
-        f"(p = {found.p_value:.2g}; below {found.alpha:g} the robot would count as changed)."
+        f"({chance_words(found.p_value)}; below {found.alpha:g} the robot would count as changed)."
     )
     return Section("changes", "What has changed", (paragraph(text),), label="What has changed")
 

@@ -10,11 +10,13 @@ import msgspec
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
+from pincal.compensate.compensation import compensate_poses
 from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
 from pincal.diagnosis.diagnosis_file import ExcludedEntry
 from pincal.diagnosis.diagnosis_numbers import DIAGNOSIS
-from pincal.diagnosis.lineup import PossibleChange
+from pincal.diagnosis.lineup import ChangeHypotheses, PossibleChange
 from pincal.identify.station import Station
+from pincal.sensors.point_sensor import PointSensor
 from pincal.thresholds import Count, Scale
 
 # Probability of detecting a change of the reported size.
@@ -109,7 +111,7 @@ def most_different_poses(
     verdict: ChangeVerdict, change: int, rival: int
 ) -> tuple[Station, np.ndarray]:
     """Return a station with random poses, those first in which two changes differ most, and the
-    differences [m].
+    differences [m]. A target that is held in a socket, or touches, is where it was in some row.
 
     Each change has the size that explains the rows best, with instrument and target relocated, so
     the difference is what new rows would show.
@@ -118,18 +120,26 @@ def most_different_poses(
     rng = np.random.default_rng(0)
     others = [i for i in verdict.happened if i != change]
     one, other = (lineup.release([*others, i], verdict.values) for i in (change, rival))
-    rows = lineup.station.select(np.resize(np.arange(len(lineup.station)), _TRIED))
-    conditions = rows.conditions
-    robot = rows.model.chain.robot
-    payload = rng.choice(lineup.robot.covered.payload, _TRIED)
-    there = replace(
-        rows,
-        conditions=replace(conditions, q=robot.random_configurations(_TRIED, rng), payload=payload),
-    )
+    there = _further_poses(lineup, rng)
     motion = there.model.linearise(there.model.own(lineup.start), there.conditions)[1]
     apart = np.linalg.norm(motion @ there.model.own(one - other), axis=1)
     order = np.argsort(-apart)
     return there.select(order), apart[order]
+
+
+def _further_poses(lineup: ChangeHypotheses, rng: np.random.Generator) -> Station:
+    """Return a station with random poses that can be measured."""
+    rows = lineup.station.select(np.resize(np.arange(len(lineup.station)), _TRIED))
+    robot = rows.model.chain.robot
+    payload = rng.choice(lineup.robot.covered.payload, _TRIED)
+    drawn = replace(rows.conditions, q=robot.random_configurations(_TRIED, rng), payload=payload)
+    if not rows.sensor.is_of_joints or rows.model.chain.path.start != robot.base:
+        return replace(rows, conditions=drawn)
+    # The robot is turned about the place where its target is held, from poses drawn at random.
+    held = lineup.robot.predict(rows.conditions)[:, :, 3]
+    found = compensate_poses(lineup.robot, held, drawn, orientation="free")
+    there = replace(rows, conditions=replace(drawn, q=robot.from_reported(found.q)))
+    return there.select(found.is_ok) if found.is_ok.any() else rows
 
 
 def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -> float:
@@ -167,9 +177,21 @@ def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:
         f"{1e3 * x:.0f}mm" if kind == "prismatic" else f"{np.degrees(x):.0f}" for kind, x in kinds
     )
     load = float(there.conditions.payload[i])
-    return f"joints at {numbers} deg" + (
-        f" with {load:g} kg" if verdict.lineup.robot.covered.payload.any() else ""
+    held = _place_name(there, i)
+    return (
+        f"joints at {numbers} deg"
+        + (f" in {held}" if held else "")
+        + (f" with {load:g} kg" if verdict.lineup.robot.covered.payload.any() else "")
     )
+
+
+def _place_name(there: Station, i: int) -> str:
+    """Return the name of the place where a target is held; "" if it is not, or has no name."""
+    sensor = there.sensor
+    if not isinstance(sensor, PointSensor) or not sensor.is_of_joints:
+        return ""
+    place = int(sensor.index[i])
+    return sensor.points.names[place] if place >= 0 else ""
 
 
 def rival_names(changes: tuple[PossibleChange, ...], step: NamedChange) -> list[PossibleChange]:

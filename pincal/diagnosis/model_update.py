@@ -32,6 +32,7 @@ from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
 from pincal.parameters import Covariance, Estimate
 from pincal.sensors.registry import blocks_of
+from pincal.units import show_chance
 
 
 def update(
@@ -84,10 +85,10 @@ def update(
         )
     if verdict.changed:
         raise ChangedRobotError(
-            f"{measurements.source}: the robot no longer matches its model (p = "
-            f"{verdict.p_value:.2g}), so its old rows and these can't be combined; pincal diagnose "
-            "identifies what has changed and re-estimates it. With --anew EFFECT:JOINT the rows "
-            "are added nevertheless, and that effect is re-estimated"
+            f"{measurements.source}: the robot no longer matches its model (p "
+            f"{show_chance(verdict.p_value)}), so its old rows and these can't be combined; pincal "
+            "diagnose identifies what has changed and re-estimates it. With --anew EFFECT:JOINT "
+            "the rows are added nevertheless, and that effect is re-estimated"
         )
     wrong = placed.stops.readings.rows[np.isin(placed.stops.row_of, verdict.wrong_rows)]
     kept = measurements.select(~np.isin(measurements.rows, wrong))

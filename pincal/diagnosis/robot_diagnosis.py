@@ -46,7 +46,7 @@ from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
 from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count
-from pincal.units import format_readable
+from pincal.units import format_readable, show_chance
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Probability of a false alarm.
@@ -74,7 +74,7 @@ class Diagnosis:
         answer = f"changed: {what or 'nothing in the catalogue'}" if self.changed else "unchanged"
         return (
             f"Diagnosis({self.model.model.chain.robot.name!r}: {answer}, p "
-            f"{self.found.p_value:.2g})"
+            f"{show_chance(self.found.p_value)})"
         )
 
     @property

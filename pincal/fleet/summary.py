@@ -32,6 +32,7 @@ from pincal.units import (
     format_digits,
     format_readable,
     readable_unit,
+    show_chance,
     show_percent,
     show_sigma,
     show_unit,
@@ -310,7 +311,7 @@ def member_summary(learned: Learned) -> Table:
     """Return the machines that do not belong to the type, the least likely first."""
     columns = (
         Column("machine", kind=Kind.NAME),
-        Column("p", kind=Kind.NUMBER, show="{:.2g}".format),
+        Column("p", kind=Kind.NUMBER, show=show_chance),
         Column("differs in", kind=Kind.NAME),
     )
     rows = [
@@ -495,8 +496,8 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         Column("what", kind=Kind.NAME),
         Column("last check", kind=Kind.LABEL),
         Column("odds", kind=Kind.NUMBER, show=odds_words),
-        Column("p-value", kind=Kind.NUMBER, show=chance_words),
-        Column("adjusted", kind=Kind.NUMBER, show=chance_words),
+        Column("p-value", kind=Kind.NUMBER, show=show_chance),
+        Column("adjusted", kind=Kind.NUMBER, show=show_chance),
     )
     rows = _first_rows(found)
     note = (
@@ -511,17 +512,6 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         notes.append(f"and {len(rows) - most} more")
     notes.append(f"nothing was found on {counted(len(found.last) - len(rows), 'other robot')}")
     return Table("Inspect these first", columns, tuple(rows[:most]), tuple(notes))
-
-
-def chance_words(p_value: float) -> str:
-    """Return a p-value as text; one that is beyond doubt is given by a bound.
-
-    Example:
-        >>> [chance_words(p_value) for p_value in (0.27, 1.2e-5, 1e-130)]
-        ['0.27', '1.2e-05', '<1e-10']
-    """
-    least = 10.0**-_BEYOND_DOUBT
-    return f"{p_value:.2g}" if p_value >= least else f"<{least:.0e}"
 
 
 def _first_rows(found: FleetHistory) -> list[tuple[Cell, ...]]:

@@ -71,7 +71,7 @@ from pincal.report.words import (
 from pincal.result_table import Column, Kind, RowTone, Table
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count, Scale
-from pincal.units import fixed
+from pincal.units import fixed, show_chance
 from pincal.validate.accuracy import ERROR_UNITS, cycle_words, leading_unit
 from pincal.validate.misfit import Verdict
 from pincal.validate.outcome import Expanded, StationRecord
@@ -354,7 +354,7 @@ def _fit_words(result: Result) -> Markup:
     )
     if result.chi2_p_value is not None:
         names.append("chi2_p_value")
-        words += f" (p {result.chi2_p_value:.2g})"
+        words += f" (p {show_chance(result.chi2_p_value)})"
     return sourced(words, *(f"{RESULT}/{name}" for name in names))
 
 

@@ -20,7 +20,7 @@ from pincal.errors import counted
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import replicate_groups
-from pincal.units import format_readable
+from pincal.units import format_readable, show_chance
 from pincal.validate.accuracy import Replicates, groups, iso9283
 from pincal.validate.misfit import MISFIT, NoiseTest, is_informative, misfit_at
 from pincal.validate.validation_numbers import JUDGEMENT
@@ -73,7 +73,7 @@ class LackOfFit:
     def __str__(self) -> str:
         test = (
             f"F({self.degrees.misfit:.0f}, {self.degrees.pure_error:.0f}) = {self.F:.3g}, p "
-            f"{self.p_value:.2g}"
+            f"{show_chance(self.p_value)}"
         )
         if self.is_significant:
             return (

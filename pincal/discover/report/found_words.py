@@ -14,7 +14,7 @@ from pincal.discover.discovery_file import (
 )
 from pincal.discover.remainder_numbers import REMAINDER
 from pincal.errors import counted
-from pincal.units import format_joint, format_small
+from pincal.units import format_joint, format_small, show_chance
 
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
@@ -139,7 +139,7 @@ def region_words(regions: Sequence[NamedRegion]) -> str:
         return f"None of {len(regions)} regions left out is predicted worse than by calibrate"
     rows = sum(region.rows for region in worse)
     least = min(region.chance for region in worse) * len(regions)
-    how = f"beyond chance (p {least:.0e})" if least < REMAINDER.worse else "by chance"
+    how = f"beyond chance (p {show_chance(least)})" if least < REMAINDER.worse else "by chance"
     return (
         f"Of {len(regions)} regions left out the names predict {len(worse)}, with "
         f"{counted(rows, 'row')}, worse than calibrate, {how}"
