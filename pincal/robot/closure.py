@@ -35,7 +35,7 @@ _AT_END: Scale = 1e-9
 _KNOWN: Count = 512
 _STEP: Scale = 0.25
 _MOST_STEPS: Count = 100
-NEWTON: Count = 30
+_MOST_NEWTON: Count = 30
 _LONGEST: Scale = 0.5
 _DAMPING: Scale = 1e-14
 
@@ -153,6 +153,11 @@ class Linkage:
             [C for _, C in parts], axis=1
         )
 
+    @cached_property
+    def _T_link_axis(self) -> np.ndarray:
+        """The z axis and the origin of each joint in the frame of its link, shape (n, 4, 2)."""
+        return np.linalg.inv(self.kinematics.after)[..., 2:]
+
     def _of_closure(self, closure: Closure, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         path = closure.path
         kinematics = self.kinematics
@@ -160,14 +165,16 @@ class Linkage:
         to_start = start[:, :3, :3].swapaxes(1, 2)
         J = np.zeros((len(frames), 6, len(kinematics.types)))
         for joint, sign in path.steps(kinematics.parents):
-            axis = frames[:, joint + 1] @ np.linalg.inv(kinematics.after[joint])
-            w = sign * axis[:, :3, 2]
+            w, origin = (frames[:, joint + 1, :3] @ self._T_link_axis[joint]).transpose(2, 0, 1)
+            w = sign * w
             if kinematics.types[joint] == "prismatic":
                 J[:, :3, joint] = w
             else:
-                J[:, :3, joint] = np.cross(w, end[:, :3, 3] - axis[:, :3, 3])
+                J[:, :3, joint] = _crossed(w, end[:, :3, 3] - origin)
                 J[:, 3:, joint] = w
-        T = np.linalg.inv(start) @ end
+        # Of a frame, the inverse is the transpose of its axes.
+        place = to_start @ (end[:, :3, 3] - start[:, :3, 3])[..., None]
+        T = np.concatenate([to_start @ end[:, :3, :3], place], axis=2)
         J = np.concatenate([to_start @ J[:, :3], to_start @ J[:, 3:]], axis=1)
         return closure.residuals(T), closure.derivatives(T, J)
 
@@ -223,7 +230,7 @@ class Linkage:
         left = np.arange(len(q))
         open_by = np.full(len(q), np.inf)
         before = np.full(len(q), np.inf)
-        for _ in range(NEWTON):
+        for _ in range(_MOST_NEWTON):
             residuals, C = self.equations(q[left])
             C = C[:, self.rows][..., self.passive]
             missing = residuals[:, self.rows]
@@ -276,14 +283,30 @@ class Linkage:
         if len(self.passive) and self._newton(q)[0] < OF_LOOP.open and np.abs(q).max() < np.pi:
             return np.asarray(q[0])
         moving = np.append(self.drivers, self.passive)
-        q = np.zeros((1, len(self.lower)))
-        for _ in range(NEWTON):
+        return np.asarray(self.loosely_closed(np.zeros((1, len(self.lower))), moving)[0])
+
+    def loosely_closed(self, q: np.ndarray, moving: np.ndarray) -> np.ndarray:
+        """Return joint positions, shape (N, n), near others at which some joints close the loops as
+        far as they can.
+        """
+        q = q.copy()
+        for _ in range(_MOST_NEWTON):
             residuals, C = self.equations(q)
-            q[:, moving] -= loose_step(C[..., moving], residuals)
-        return np.asarray(q[0])
+            step = _loose_step(C[..., moving], residuals)
+            q[:, moving] -= step
+            # Those that follow are no more than rounding.
+            if np.abs(step).max(initial=0.0) < CLOSED:
+                break
+        return q
 
 
-def loose_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
+def _crossed(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the cross products of vectors, shape (N, 3); ``np.cross`` spends most on its axes."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
+def _loose_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Return the steps of least length, shape (N, k), that close the gaps as far as joints can."""
     step = (np.linalg.pinv(C, rcond=OF_LOOP.still) @ missing[..., None])[..., 0]
     return np.asarray(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.errors import RobotFileError
-from pincal.robot.closure import NEWTON, Closure, Linkage, loose_step
+from pincal.robot.closure import Closure, Linkage
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
 from pincal.robot.robot_numbers import OF_LOOP
@@ -265,9 +265,7 @@ def _samples(free: Linkage) -> np.ndarray:
     step = rng.uniform(-_SAMPLE_STEP, _SAMPLE_STEP, (_SAMPLES, len(free.drivers)))
     step -= (np.linalg.pinv(C, rcond=OF_LOOP.still) @ (C @ step[..., None]))[..., 0]
     q[:, free.drivers] += step
-    for _ in range(NEWTON):
-        residuals, C = free.equations(q)
-        q[:, free.drivers] -= loose_step(C[..., free.drivers], residuals)
+    q = free.loosely_closed(q, free.drivers)
     is_closed = np.abs(free.equations(q)[0]).max(axis=1) < OF_LOOP.loose
     return q[is_closed] if is_closed.any() else free.assembled()[None]
 
