@@ -130,6 +130,23 @@ def thin_root_of(covariance: np.ndarray) -> np.ndarray:
     return np.asarray(axes[:, some] * np.sqrt(variances[some]))
 
 
+def quick_root_of(covariance: np.ndarray) -> np.ndarray:
+    """Return a matrix L, shape (n, r), with L L^T = C for a covariance C, shape (n, n): that of the
+    correlations by Cholesky, in a tenth of the time of axes, or by these where rounding forbids.
+
+    Variances differ by twelve orders of magnitude, and rounding must not carry large ones into
+    small ones.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / np.outer(scale, scale)
+    try:
+        root = np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError:
+        root = thin_root_of(correlation)
+    return np.asarray(scale[:, None] * root)
+
+
 @dataclass(frozen=True)
 class Covariance:
     """Covariance of n parameters, C = A A^T + a block per group of parameters.

@@ -11,7 +11,7 @@ from pincal import Measurements, Robot, calibrate, load_model, measurements_from
 from pincal import simulate as sim
 from pincal.calibration.discrepancy import Discrepancy, discrepancy_of
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.left_out_variance import fitted_variances, left_out_variances
+from pincal.calibration.left_out_variance import target_variances
 from pincal.calibration.structure import structure_among
 from pincal.identify.options import Options
 
@@ -150,13 +150,13 @@ def test_predictions_without_a_fold_are_as_uncertain_as_those_of_a_fit_without_i
     rows = measurements_from_arrays(robot.joint_names, q[:120], position=place[:120])
     fit = calibrate(robot, rows, Options(sigma=NOISE)).fit
     fold = np.arange(120) % 4
-    (found,) = left_out_variances(fit, fold, [0])
+    (found,) = target_variances(fit, fold, [0])
     others = calibrate(robot, rows.select(np.flatnonzero(fold != 2)), Options(sigma=NOISE))
     expected = others.position_variances(others.conditions_at(q[:120][fold == 2]))["parameters"]
-    np.testing.assert_allclose(np.einsum("naa->na", found)[fold == 2], expected, rtol=0.03)
+    np.testing.assert_allclose(np.einsum("naa->na", found.without)[fold == 2], expected, rtol=0.03)
     model = FittedRobot.of(fit)
     by_all = model.position_variances(model.conditions_at(q[:120]))["parameters"]
-    np.testing.assert_allclose(np.einsum("naa->na", fitted_variances(fit, [0])[0]), by_all, rtol=1e-6)
+    np.testing.assert_allclose(np.einsum("naa->na", found.by_all), by_all, rtol=1e-6)
 
 
 @pytest.mark.long

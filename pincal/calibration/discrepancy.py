@@ -35,7 +35,7 @@ from scipy.optimize import nnls
 from scipy.special import ndtri, stdtrit
 
 from pincal.calibration.calibration_numbers import DISCREPANCY
-from pincal.calibration.left_out_variance import fitted_variances, left_out_variances
+from pincal.calibration.left_out_variance import target_variances
 from pincal.calibration.position_covariance import SharedErrors
 from pincal.calibration.position_rows import LeftOutRows, PositionRows, gives_positions
 from pincal.calibration.structure import DRIVE_LENGTHS, Structure, alike, residual_structure
@@ -376,22 +376,17 @@ def _known(fit: ModelFit, fold: np.ndarray, left_out: Sequence[LeftOutRows]) -> 
     of their parameters, shape (N, 3, 3) [m^2].
     """
     stations = [of.rows.number for of in left_out]
-    found = zip(
-        left_out,
-        left_out_variances(fit, fold, stations),
-        fitted_variances(fit, stations),
-        strict=True,
-    )
+    found = zip(left_out, target_variances(fit, fold, stations), strict=True)
     return np.concatenate(
         [
             of.rows.noise[:, None, None] * np.eye(3)
             + _of_parameters(
                 of,
                 fold[fit.problem.rows[of.rows.number]][of.some],
-                without[of.some],
-                by_all[of.some],
+                variances.without[of.some],
+                variances.by_all[of.some],
             )
-            for of, without, by_all in found
+            for of, variances in found
         ]
     )
 

@@ -17,7 +17,7 @@ from pincal.errors import BadInputError
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.model.motions import with_moving_drives
-from pincal.parameters import thin_root_of
+from pincal.parameters import quick_root_of
 from pincal.thresholds import Count
 from pincal.units import real_array
 
@@ -163,7 +163,9 @@ class PredictionUncertainty:
             J, levers = self._motion_of(conditions, point.offsets(rotations))
             if (errors := point.errors(rotations)) is not None:
                 found["point"] = errors
-        found["parameters"] = SharedErrors.of_all(J @ self._root)
+        found["parameters"] = SharedErrors.of_all(
+            np.ascontiguousarray(self._through(J).transpose(2, 1, 0))
+        )
         if self.discrepancy is not None:
             found["model"] = self.discrepancy.errors(conditions.q, levers)
         if arrival := self._arrival(0):
@@ -179,9 +181,9 @@ class PredictionUncertainty:
     def _root(self) -> np.ndarray:
         """A root of the covariance of the parameters, shape (P, r)."""
         known = np.flatnonzero(np.diag(self.covariance) > 0.0)
-        thin = thin_root_of(self.covariance[np.ix_(known, known)])
-        root = np.zeros((len(self.covariance), thin.shape[1]))
-        root[known] = thin
+        of_known = quick_root_of(self.covariance[np.ix_(known, known)])
+        root = np.zeros((len(self.covariance), of_known.shape[1]))
+        root[known] = of_known
         return root
 
     @cached_property
@@ -202,10 +204,14 @@ class PredictionUncertainty:
 
     def _along(self, J: np.ndarray) -> np.ndarray:
         """Return the variances by the parameters through J, shape (N, m, P), as shape (N, m)."""
+        along = self._through(J)
+        return np.asarray(np.einsum("rmn,rmn->nm", along, along))
+
+    def _through(self, J: np.ndarray) -> np.ndarray:
+        """Return J, shape (N, m, P), times the root of the covariance, shape (r, m, N)."""
         # In the order in which a Jacobian is made, so that nothing is copied.
         by_parameter = J.transpose(2, 1, 0).reshape(J.shape[2], -1)
-        along = self._root.T @ by_parameter
-        return np.asarray(np.einsum("rk,rk->k", along, along).reshape(J.shape[1::-1]).T)
+        return np.asarray((self._root.T @ by_parameter).reshape(-1, *J.shape[1::-1]))
 
     def _motion_of(
         self, conditions: Conditions, offsets: np.ndarray

@@ -103,10 +103,11 @@ class _Placed:
 
     def carried(self, covariance: np.ndarray, *, of_rows: bool) -> np.ndarray:
         """Return a covariance of all free parameters, shape (F, F), with the place at its mean."""
-        T = np.eye(len(covariance))
-        T[self.own] = 0.0
-        T[np.ix_(self.own, self.others)] = self.follows
-        found = T @ covariance @ T.T
+        found = covariance.copy()
+        moved = self.follows @ covariance[self.others]
+        found[self.own] = moved
+        found[:, self.own] = moved.T
         own = np.ix_(self.own, self.own)
+        found[own] = moved[:, self.others] @ self.follows.T
         found[own] += self.of_noise if of_rows else self.of_noise + self.of_error
         return np.asarray(found)

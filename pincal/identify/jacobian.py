@@ -16,11 +16,11 @@ import numpy as np
 from pincal.model.sparse_basis import (
     Basis,
     SparseBasis,
+    add_across,
     add_product,
     dense_rows,
     mirror,
     some_functions,
-    sparse_across,
     sparse_times,
     sparse_times_dense,
     write_times,
@@ -84,6 +84,14 @@ class Jacobian:
         families = tuple(replace(f, column=f.column * weights) for f in self.families)
         return replace(self, dense=self.dense * weights, families=families)
 
+    def mapped(self, to: Callable[[np.ndarray], np.ndarray]) -> Jacobian:
+        """Return the Jacobian of other readings, of which a linear function gives the columns,
+        shape (m', n), by those of these, shape (m, n).
+        """
+        families = tuple(replace(f, column=to(f.column)) for f in self.families)
+        dense = np.array([to(column) for column in self.dense])
+        return replace(self, dense=dense if len(dense) else self.dense, families=families)
+
     def part(self, readings: slice, poses: slice) -> Jacobian:
         """Return the part of some of the m readings at some poses."""
         families = tuple(
@@ -125,16 +133,16 @@ class Jacobian:
         """Return the motion of the readings, shape (R, m, n), by R steps of the parameters, shape
         (F, R).
         """
-        moved = np.tensordot(steps[self.places].T, self.dense, axes=1)
-        for family in self.families:
-            own = np.ascontiguousarray(steps[family.places])
-            by_pose = (
-                sparse_across(family.basis, own).T
-                if isinstance(family.basis, SparseBasis)
-                else own.T @ family.basis
-            )
-            moved += by_pose[:, None] * family.column
-        return moved
+        few = [f for f in self.families if not isinstance(f.basis, SparseBasis)]
+        own = (np.asarray(f.basis)[:, None] * f.column for f in few)
+        dense = np.concatenate([self.dense, *own])
+        places = np.concatenate([self.places, *(f.places for f in few)])
+        # Pose by pose, with the steps side by side, which may be as many as parameters.
+        moved = np.tensordot(dense.transpose(2, 1, 0), steps[places], axes=1)
+        for f in self.families:
+            if isinstance(f.basis, SparseBasis):
+                add_across(f.basis, f.column, np.ascontiguousarray(steps[f.places]), moved)
+        return np.asarray(moved.transpose(2, 1, 0))
 
     def along_each(self, steps: np.ndarray, which: np.ndarray) -> np.ndarray:
         """Return the motion of the readings, shape (m, n), at each pose by one of R steps, shape

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress, pairwise
@@ -332,6 +332,24 @@ class Station:
             for by_parameter, column in zip(out, jacobian, strict=True):
                 by_parameter[piece] = part.sensor.displacement(column, poses, own)
         return out
+
+    def displacements_shared(
+        self, values: np.ndarray, free: np.ndarray
+    ) -> Iterator[tuple[slice, Jacobian]]:
+        """Yield, piece by piece, the rows and what :meth:`displacements_by` returns of them, with
+        curves as basis times column.
+        """
+        of_model, own = self.split(values)
+        plain = replace(self, whitening=None, serial=None, arrival=None)
+        for piece, _, jacobian in plain.linearise_correlated(values, free):
+            part = plain._part(piece)
+            yield piece, jacobian.mapped(part._displaced(part.poses_read(of_model), own))
+
+    def _displaced(self, poses: np.ndarray, own: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+        """Return the function from columns of readings, shape (m, N), to displacements of the
+        target, shape (3, N).
+        """
+        return lambda column: self.sensor.displacement(column, poses, own).T
 
     def metres_per_reading(self, values: np.ndarray) -> float:
         """Return the displacement of the target per unit of the first block of readings: 1 except

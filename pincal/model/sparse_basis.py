@@ -112,6 +112,26 @@ def sparse_across(basis, matrix):
 
 
 @compiled(nogil=True)
+def add_across(basis, column, matrix, out):
+    """Add to out, shape (n, m, D), the transpose of a sparse basis times a matrix of shape (S, D),
+    times a column of shape (m, n): without a copy of all products.
+    """
+    sums = np.empty(matrix.shape[1])
+    for i in range(len(out)):
+        sums[:] = 0.0
+        for a in range(basis.starts[i], basis.starts[i + 1]):
+            value = basis.value[a]
+            row = matrix[basis.place[a]]
+            for d in range(len(sums)):
+                sums[d] += value * row[d]
+        for j in range(len(column)):
+            factor = column[j, i]
+            to = out[i, j]
+            for d in range(len(sums)):
+                to[d] += factor * sums[d]
+
+
+@compiled(nogil=True)
 def sparse_times(basis, matrix):
     """Return a sparse basis times a row-major matrix of shape (n, D), shape (S, D)."""
     n, n_columns = matrix.shape
