@@ -312,7 +312,8 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
 
 def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
     # Elasticity given by the user is not extended.
-    way = None if has_compliance(search.first.problem.effects) else elastic_way(fit, search.policy)
+    is_given = has_compliance(search.first.problem.effects)
+    way = None if is_given else elastic_way(fit, search.policy, search.tests_of(fit))
     if way is not None:
         return elastic_step(fit, way)
     decision = choose(fit, search)
