@@ -11,11 +11,13 @@ from discovery_cases import Case, draw_case
 from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
+from pincal.builtin import kuka_urdf_path
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.discovery_file import EffectName, Findings, Repeated, Stability
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import bootstrap_last, chance_of_best, findings_of
 from pincal.discover.levers import missing_features
+from pincal.discover.loop import discover_effects
 from pincal.discover.report.found_drawings import stability_drawings
 from pincal.discover.report.found_section import _named
 from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
@@ -26,10 +28,12 @@ from pincal.identify.fit import Ending
 from pincal.identify.mass_error import MassError, variance_of_masses
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
+from pincal.measure.table import measurements_from_arrays
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
+from pincal.robot.robot import Robot
 
 COUNT = 2
 
@@ -104,6 +108,33 @@ def test_what_is_plain_to_see_comes_up_in_every_half(case: Case) -> None:
     assert report.pop("bootstrap")["draws"] == 200
     assert report == json.loads(json.dumps(alone))
     assert msgspec.convert(found.report, Findings) == found.findings
+
+
+def test_strong_names_enter_a_half_together() -> None:
+    """Two errors of drives, and one that is expected and absent: names and equivalents are those of a search one by one."""
+    robot = Robot.from_urdf(kuka_urdf_path())
+    rng = np.random.default_rng(0)
+    q = robot.random_configurations(200, rng)
+    bent = q + 1e-3 * np.array([0.0, 1.0, 0.0, 1.0, 0.0, 0.0]) * np.sin([1.0, 1.0, 1.0, 2.0, 1.0, 1.0] * q)
+    tips = robot.forward_kinematics(bent)
+    position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((200, 3))
+    table = measurements_from_arrays(robot.joint_names, q, position=position)
+    fit = fit_tables(robot, table, Options(effects=GEOMETRIC))
+    groups = row_groups(table, split="blocked", seed=0) % 8
+
+    one_by_one = discover_effects(fit, groups)
+    tested = [step.tested for step in one_by_one.steps]
+    absent = replace(tested[0], joint="joint_5")
+    together = discover_effects(fit, groups, expected=[*tested, absent])
+
+    names, same = ([(s.effect.heading, [e.heading for e in s.equivalent]) for s in t.steps] for t in (one_by_one, together))
+    assert [heading[:2] for heading, _ in names] == [("gear_eccentricity", "joint_2"), ("gear_eccentricity", "joint_4")]
+    assert sorted(same) == sorted(names)
+    assert [step.before is trail.steps[0].before for trail in (one_by_one, together) for step in trail.steps[1:]] == [
+        False,
+        True,
+    ]
+    assert together.final.solution.estimated == pytest.approx(one_by_one.final.solution.estimated, rel=1e-6)
 
 
 @pytest.mark.long

@@ -62,6 +62,7 @@ class Search:
         frames: moment frames to choose from.
         nameless: kinds of the unnamed dependences that are candidates, see :func:`nameless_kind`;
             default: all.
+        expected: effects that enter together where each is beyond doubt given all the others.
     """
 
     policy: Policy
@@ -70,6 +71,7 @@ class Search:
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
     nameless: Collection[object] | None = None
+    expected: tuple[Effect, ...] = ()
     _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
 
     def tests_of(self, fit: ModelFit) -> GivenNuisances:

@@ -27,7 +27,7 @@ from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.products import Information
 from pincal.discover.score_numbers import TESTING
-from pincal.discover.score_tests import score_test, score_test_given_nuisances
+from pincal.discover.score_tests import GivenNuisances, score_test
 from pincal.identify.beliefs import priors_of
 from pincal.identify.calibrate import refit, with_bearings
 from pincal.identify.choices import best_of
@@ -51,8 +51,11 @@ def _alone(chain: Chain, part: Effect) -> tuple[Effect, ...]:
     return (part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments))
 
 
-def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
-    """Return the compliances that a fit lacks; None if they are not significant.
+def elastic_way(
+    fit: ModelFit, policy: Policy, test: GivenNuisances | None = None
+) -> Decision | None:
+    """Return the compliances that a fit lacks; None if they are not significant. ``test`` are the
+    tests of this fit that a search has, default: new ones.
 
     One drive or one bearing enters alone if all others add nothing significant to it: among twenty
     correlated parameters it could not be identified. On a small table drives without bearings, or
@@ -67,9 +70,8 @@ def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
     starts = np.cumsum([0, *map(len, forms)])
     # All arms are compliant, so geometric errors beyond their priors are not preferred to
     # deflection by gravity.
-    tests = score_test_given_nuisances(
-        fit, [effect for form in forms for effect in form], wider=1.0
-    )
+    test = GivenNuisances(fit) if test is None else test
+    tests = test([effect for form in forms for effect in form], wider=1.0)
     whole = [int(i) for i in starts[:-1]]
     families = [
         [i for i, part in zip(whole, parts, strict=True) if part.name == effect.name]

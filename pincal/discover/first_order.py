@@ -94,9 +94,9 @@ class ScoreTests:
         model: information of rows and priors on the N parameters, by block of poses.
         blocks_cross: shape (B, N, C), products of the model's columns with the candidates', by
             block of poses.
-        blocks_inner: shape (B, C, C), products of the candidates' columns with each other; or, in
-            one block, of each candidate's own ones alone. Those of different candidates are then
-            computed from the rows on demand, as few pairs are needed.
+        blocks_inner: shape (B, C, C), products of the candidates' columns with each other; or, of
+            many in one block, of each candidate's own ones alone. Those of different candidates are
+            then computed from the rows on demand, as few pairs are needed.
         blocks_g: shape (B, C), products of the candidates' columns with the residuals.
         parts: the rows.
         squares: weighted sum of squared residuals.

@@ -40,6 +40,7 @@ from pincal.discover.steps import (
     refine_time_constants,
     reject_outliers_again,
 )
+from pincal.discover.sure_names import add_sure_names
 from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order, told_by
 from pincal.identify.choices import deviance
 from pincal.identify.criteria import CRITERIA
@@ -66,6 +67,7 @@ def discover_effects(
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
     nameless: Collection[object] | None = None,
+    expected: Sequence[Effect] = (),
 ) -> History:
     """Find the effects that a fit lacks.
 
@@ -78,11 +80,14 @@ def discover_effects(
         policy: thresholds and limits.
         nameless: kinds of the unnamed dependences that are candidates (``nameless_kind``); default:
             all.
+        expected: effects of a search on more rows, which enter together where each is beyond doubt
+            given all the others.
     """
 
     def searched(first: ModelFit) -> History:
         few, rows = sampled(first, policy)
-        search = Search(policy, tuple(extra), first, groups[rows], tuple(frames), nameless)
+        given = tuple(extra), first, groups[rows], tuple(frames), nameless, tuple(expected)
+        search = Search(policy, *given)
         state = SearchState(few)
         for step_on in _PASSES:
             state = step_on(state, search)
@@ -426,6 +431,7 @@ def fit_cost(fit: ModelFit) -> float:
 # The algorithm.
 _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     start_in_likeliest_frame,
+    add_sure_names,
     add_effects,
     compare_frames,
     name_again,

@@ -6,8 +6,10 @@ found in 19 of 20 halves does not depend on a few poses and would probably be fo
 poses; one found in less than 60 % is a hint.
 
 A search on a half starts from the geometric fit of all rows, in their moment frame, with all
-effects of the catalogue and those unnamed dependences that were found on all rows. Where effects
-are selected on a sample of the rows, see ``Policy.enough_readings``, halves are of this sample.
+effects of the catalogue and those unnamed dependences that were found on all rows. Of the names
+found on all rows those that the half leaves no doubt of enter together (``sure_names``); the others
+have to be found again one by one. Where effects are selected on a sample of the rows, see
+``Policy.enough_readings``, halves are of this sample.
 """
 
 from __future__ import annotations
@@ -480,10 +482,10 @@ def begin_subsamples(
     parts = [np.unique(joined[span]) for span in few.problem.rows]
     found = [effect for step in trail.steps for effect in (*step.effects, *step.equivalent)]
     nameless = frozenset(nameless_kind(effect) for effect in found if effect.is_nameless)
+    expected = tuple(step.tested for step in trail.steps if not step.is_elastic)
     # Names do not depend on the final resolution of curves.
-    run = partial(
-        _names_in_half, few, joined, trail.extra, replace(trail.policy, finer=1.0), nameless
-    )
+    policy = replace(trail.policy, finer=1.0)
+    run = partial(_names_in_half, few, joined, trail.extra, policy, nameless, expected)
     halves = list(_subsamples(parts, joined, count))
     poses = round(float(np.mean([np.count_nonzero(np.isin(joined, half)) for half in halves])))
     named = spread(run, halves, label="subsample", executor=executor)
@@ -515,6 +517,7 @@ def _names_in_half(
     extra: tuple[Effect, ...],
     policy: Policy,
     nameless: frozenset[object],
+    expected: tuple[Effect, ...],
     half: np.ndarray,
 ) -> tuple[Group, ...] | None:
     """Return the names found by a search on some regions; None if their rows can't be fitted."""
@@ -523,9 +526,8 @@ def _names_in_half(
     try:
         few = first.select(rows)
         start = refit(few, few.options.effects, start={})
-        return tuple(
-            _groups(discover_effects(start, groups, extra=extra, policy=policy, nameless=nameless))
-        )
+        known: dict[str, Any] = {"extra": extra, "nameless": nameless, "expected": expected}
+        return tuple(_groups(discover_effects(start, groups, policy=policy, **known)))
     except PincalError:
         return None
 

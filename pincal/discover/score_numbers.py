@@ -19,6 +19,7 @@ _IN_DOUBT = (
     "test_selection.py::test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without"
 )
 _BENT = "test_selection.py::test_small_tables_of_a_bent_arm_keep_its_elasticity"
+_TOGETHER = "test_stability.py::test_strong_names_enter_a_half_together"
 _UNEVEN = "test_uneven.py::test_a_scattering_joint_makes_no_more_of_chance_than_it_says"
 _CONSTANT = "test_settling.py::test_the_time_constant_is_found_and_its_uncertainty"
 
@@ -49,6 +50,20 @@ class ScoreNumbers:
         _EXAMPLES,
         "by which held-out blocks have to improve for a prediction to be called better",
         "one in six by chance; other criteria are stricter",
+    )
+    much: float = number(
+        0.1,
+        "ratio",
+        _TOGETHER,
+        "part of the squares that the others leave above which an expected name enters with them",
+        "chosen: what explains so much enters before what explains little, in any order",
+    )
+    beyond_doubt: float = number(
+        1e-9,
+        "ratio",
+        _TOGETHER,
+        "fraction of the probability of a false name below which an expected name enters at once",
+        "chosen: beyond doubt among millions of candidates",
     )
     searched: float = number(
         2.0,

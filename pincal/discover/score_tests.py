@@ -31,6 +31,8 @@ from pincal.thresholds import Count
 # Columns of candidates that are multiplied at once, and numbers of correlated ones (64 MB).
 _MOST_COLUMNS: Count = 256
 _MOST_NUMBERS: Count = 8_000_000
+# Columns up to which all their products take hardly longer than those of each candidate's own.
+_FEW_COLUMNS: Count = 64
 
 
 class _Piece(NamedTuple):
@@ -315,8 +317,8 @@ class _Products:
     Attributes:
         cross: shape (blocks, N, C), with the columns of the model.
         inner: shape (blocks, C, C), with each other; empty if only those of each are kept.
-        own: of each candidate's columns with each other, if there is one block and several
-            candidates.
+        own: of each candidate's columns with each other, if there is one block and many columns of
+            several candidates.
         g: shape (blocks, C), with the residuals.
         candidate: shape (C,), the candidate of each column; the same for all if all products are
             kept.
@@ -334,7 +336,7 @@ class _Products:
     def none(cls, n_blocks: int, n_model: int, sizes: Sequence[int]) -> _Products:
         """Return those of no rows, for candidates of so many columns."""
         c = sum(sizes)
-        is_partial = n_blocks == 1 and len(sizes) > 1
+        is_partial = n_blocks == 1 and len(sizes) > 1 and c > _FEW_COLUMNS
         each = np.repeat(np.arange(len(sizes)), sizes)
         return cls(
             cross=np.zeros((n_blocks, n_model, c)),

@@ -198,14 +198,21 @@ def add_effects(state: SearchState, search: Search) -> SearchState:
                 1e3 * float(fit.solution.estimated[0]) for fit in (found.before, found.after)
             )
             log.info("found %s: residual %.4f -> %.4f mm", listed(found.effects), *residuals)
-            return _trusting_clusters(_weighted_by_stops(state.with_step(found)))
+            return settled(state.with_step(found))
         log.info("bearings: %s", listed(found))
         fit = refit(
             state.fit, [*state.fit.options.effects, *found], start={}, until=Tolerance.CLOSE
         )
-        return _trusting_clusters(_weighted_by_stops(state.changed(fit, state.steps, found, ())))
+        return settled(state.changed(fit, state.steps, found, ()))
 
     return select_stepwise(_trusting_clusters(state), offers, taken, most=search.policy.most_steps)
+
+
+def settled(state: SearchState) -> SearchState:
+    """Return the state after a step, with rows weighted, and outliers trusted, as the new residuals
+    show.
+    """
+    return _trusting_clusters(_weighted_by_stops(state))
 
 
 def _weighted_by_stops(state: SearchState) -> SearchState:
@@ -312,7 +319,8 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
 
 def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
     # Elasticity given by the user is not extended.
-    way = None if has_compliance(search.first.problem.effects) else elastic_way(fit, search.policy)
+    is_given = has_compliance(search.first.problem.effects)
+    way = None if is_given else elastic_way(fit, search.policy, search.tests_of(fit))
     if way is not None:
         return elastic_step(fit, way)
     decision = choose(fit, search)

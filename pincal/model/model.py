@@ -461,7 +461,7 @@ class Evaluation:
         half_free = (
             term
             for curve in self.curves
-            if not free[curve.parameters].all()
+            if free[curve.parameters].any() and not free[curve.parameters].all()
             for term in curve.terms()
         )
         found: dict[int, list[tuple[int, np.ndarray]]] = {}
