@@ -38,7 +38,11 @@ def test_gains_are_those_of_least_squares(pair: PairOfJoints, m: float, n: float
     step = np.linalg.lstsq(columns, target)[0]
 
     np.testing.assert_allclose(pair.gains(np.array([m]), np.array([n])), np.sum((columns @ step) ** 2), rtol=1e-4)
-    np.testing.assert_allclose(pair.gain(m, n), pair.gains(np.array([m]), np.array([n])), rtol=1e-9)
+    gain, slope = pair.gain(m, n)
+    np.testing.assert_allclose(gain, pair.gains(np.array([m]), np.array([n])), rtol=1e-9)
+    for along, step in zip(slope, 1e-5 * np.eye(2), strict=True):
+        after, before = (pair.gain(*(np.array([m, n]) + sign * step))[0] for sign in (1.0, -1.0))
+        assert along == pytest.approx((after - before) / 2e-5, rel=1e-5, abs=1e-4)
 
 
 def test_the_strongest_wave_has_the_true_orders(pair: PairOfJoints) -> None:

@@ -42,7 +42,12 @@ from pincal.model.chain import MomentFrame
 from pincal.model.conditions import PoseSet, part_of
 from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Harmonic, Locus
 from pincal.model.effects import Compliance
+from pincal.model.latest import Latest
 from pincal.sensors.row_samples import spread_rows
+from pincal.thresholds import Count
+
+# Latest fits whose functions of two joints are kept, at least as many as are named again together.
+_FITS: Count = 8
 
 Tester = Callable[..., ScoreTests]
 """Tests candidates against a fit with nuisances projected out, from effects and, optionally, the
@@ -73,12 +78,24 @@ class Search:
     nameless: Collection[object] | None = None
     expected: tuple[Effect, ...] = ()
     _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
+    _of_two: Latest[list[Effect]] = field(
+        default_factory=partial(Latest, _FITS), init=False, repr=False
+    )
 
     def tests_of(self, fit: ModelFit) -> GivenNuisances:
         """Return the tests against a fit; of the latest one, common parts are kept."""
         if not self._latest or self._latest[0].fit is not fit:
             self._latest[:] = [GivenNuisances(fit, self.groups)]
         return self._latest[0]
+
+    def of_two_joints(self, fit: ModelFit, joints: tuple[str, ...]) -> list[Effect]:
+        """Return the likeliest functions of some joints' positions and another's; of the latest
+        fits they are kept.
+        """
+        known = self._of_two.of(fit)
+        if joints not in known:
+            known[joints] = [*likely_maps(fit, joints), *likely_waves_of_two(fit, joints)]
+        return known[joints]
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return the unnamed dependences that are candidates."""
@@ -409,7 +426,7 @@ def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> lis
         chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}]
     )
     further = (effect for effect in beyond if _place(effect) in likes)
-    both = [*likely_maps(fit, near), *likely_waves_of_two(fit, near)]
+    both = search.of_two_joints(fit, near)
     every = [*nameless_candidates(chain, conditions, near), *further, *both]
     return search.taking_part(missing_from(fit, every))
 

@@ -89,15 +89,22 @@ class PairOfJoints:
         """Return the gain of the wave that explains most, and its orders m and n."""
         peak = self.peak
 
-        def loss(shift: np.ndarray) -> float:
-            return -self.gain(*(peak.start + peak.steps * shift).tolist())
+        def loss(shift: np.ndarray) -> tuple[float, np.ndarray]:
+            gain, slope = self.gain(*(peak.start + peak.steps * shift).tolist())
+            return -gain, -peak.steps * slope
 
-        found = minimize(loss, peak.shift, method="Nelder-Mead", bounds=[(-1.0, 1.0)] * 2)
+        limits = [(-1.0, 1.0)] * 2
+        found = minimize(loss, peak.shift, jac=True, method="L-BFGS-B", bounds=limits)
         own, other = (round(float(k), WAVES.digits) for k in peak.start + peak.steps * found.x)
         return -float(found.fun), (own, other)
 
-    def gain(self, m: float, n: float) -> float:
-        """Return the gain of the wave of one pair of orders, by its four functions themselves."""
+    def gain(self, m: float, n: float) -> tuple[float, np.ndarray]:
+        """Return the gain of the wave of one pair of orders, by its four functions themselves, and
+        its derivatives by these, shape (2,).
+
+        The gain is largest at the wave that fits best, so that it changes with the orders as it
+        would with this wave's parameters held.
+        """
         own = m * self.own
         other = n * self.others
         of_own = np.stack([np.cos(own), np.sin(own)])
@@ -107,7 +114,14 @@ class PairOfJoints:
         # As of the exponentials in `gains`, of which each function is a quarter of four.
         S.flat[:: _FUNCTIONS + 1] += WAVES.map_seen * self.lever.sum() / _FUNCTIONS
         b = basis @ self.along
-        return float(b @ np.linalg.solve(S, b))
+        fitted = np.linalg.solve(S, b)
+        left = self.along - self.lever * (fitted @ basis)
+        # Of cosine and sine, minus the sine and the cosine.
+        cosine, sine = fitted.reshape(2, 2) @ of_other
+        by_own = (sine * of_own[0] - cosine * of_own[1]) * self.own
+        cosine, sine = fitted.reshape(2, 2).T @ of_own
+        by_other = (sine * of_other[0] - cosine * of_other[1]) * self.others
+        return float(b @ fitted), 2.0 * np.array([by_own @ left, by_other @ left])
 
     def gains(self, m: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Return the gains of waves of orders m of the joint, shape (M,), and n of the other, shape

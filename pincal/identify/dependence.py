@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dtrtri
 from scipy.optimize import OptimizeResult, minimize, minimize_scalar
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import AnyFit, ModelFit, posterior_of
@@ -68,8 +68,10 @@ _LIMITS: tuple[tuple[Scale, Scale], tuple[Scale, Scale]] = (
 )
 _NEAR_SHARE: Scale = 0.05
 _ROUGH: Scale = 0.5
-# First steps of both.
-_STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+# First steps of both, from anywhere and from a noise that is known.
+_STEPS: tuple[Scale, Scale] = (1.0, 0.25)
+# How far from that of a walk of the same steps the logit of the share may be with a longer memory.
+_BESIDE: Scale = 1.5
 # Squares of what a sum of parameters moves, in units of the noise, below which it is left out.
 _FAINT: Scale = 1e-7
 # Relative change of the variance whose effect a closed form tells well enough, and the number of
@@ -319,20 +321,35 @@ class _FittedStation:
         assert first.station.position is not None
         near = first.station.position[some]
         priors = plain.sizes[plain.free][places] ** -2.0, plain.values[plain.free][places]
+        known = self.known
         likeliest = None
         most = 0.0
         for turns, everywhere in zip(first.frames, plain.frames, strict=True):
             if first.dependence_in(turns) < CRITERIA.dependent or first.follows_joints(some, turns):
                 continue
             columns = every if turns is None else turned_into(turns[some], every)
-            blocks = (columns[:, rows] for rows in first.station.block_rows)
-            each = [_RestrictedLikelihood.of(block, near, *priors).likeliest() for block in blocks]
+            each = [
+                _RestrictedLikelihood.of(columns[:, rows], near, *priors).likeliest(start)
+                for rows, start in zip(first.station.block_rows, known, strict=True)
+            ]
+            # The next frame shows the same noise.
+            known = [found or start for found, start in zip(each, known, strict=True)]
             gain = sum(found.gain for found in each if found is not None)
             if gain > most:
                 phi, share = _by_reading(each, first.station.block_sizes)
                 likeliest = Serial(phi, share, position, plain.counted, everywhere)
                 most = gain
         return likeliest
+
+    @property
+    def known(self) -> list[_Remembered | None]:
+        """The correlated noise that each block of readings is weighted by; None for none."""
+        serial = self.station.serial
+        blocks = self.station.block_rows
+        if serial is None:
+            return [None for _ in blocks]
+        each = ((float(serial.phi[rows][0]), float(serial.share[rows][0])) for rows in blocks)
+        return [_Remembered(0.0, phi, share) if share else None for phi, share in each]
 
     def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:
         """Return whether residuals of rows near in all joints, or in one, agree however far apart
@@ -426,6 +443,12 @@ class _Remembered:
     gain: float
     phi: float
     share: float
+
+    @property
+    def at(self) -> np.ndarray:
+        """The logit of the share and the log of the memory, within their limits."""
+        place = [logit(self.share), -np.log1p(-self.phi)]
+        return np.asarray(np.clip(place, *np.transpose(_LIMITS)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -549,26 +572,27 @@ class _RestrictedLikelihood:
         least = readings * float(np.log(noise)) + determinant + left
         return least, max(squares, 1e-300), max(degrees, 1.0)
 
-    def with_memory(self, memory: float) -> tuple[float, float]:
-        """Return the optimum with a given log of the memory, and the logit of the share there."""
+    def with_memory(self, memory: float, share: float) -> tuple[float, float]:
+        """Return the optimum with a given log of the memory, and the logit of the share there,
+        which is near ``share``.
+        """
+        most = _LIMITS[0][1]
+        share = min(share, most)
         found = minimize_scalar(
             lambda share: self.misfit(share, memory),
-            bounds=_LIMITS[0],
+            bounds=(share - _BESIDE, min(share + _BESIDE, most)),
             method="bounded",
             options={"xatol": _NEAR_SHARE},
         )
         return float(found.fun), float(found.x)
 
-    def likeliest(self) -> _Remembered | None:
-        """Return the most likely correlated noise; None if it gains too little."""
-        starts = [(np.log(s / (1.0 - s)), -np.log(1.0 - phi)) for s, phi in _STARTS]
-        likely = sorted(starts, key=lambda start: self.misfit(*start))[:2]
-        best = self._near(np.array(likely[0]))
-        # Another optimum shows soon; mostly it is the same.
-        other = self._near(np.array(likely[1]), _ROUGH)
-        if other.fun < best.fun + _ROUGH and np.any(np.abs(other.x - best.x) > _ROUGH):
-            other = self._near(other.x)
-        best = min(best, other, key=lambda found: float(found.fun))
+    def likeliest(self, known: _Remembered | None = None) -> _Remembered | None:
+        """Return the most likely correlated noise; None if it gains too little. One that is known
+        of such rows is near it.
+        """
+        best = (
+            self._from_anywhere() if known is None else self._near(known.at, first_step=_STEPS[1])
+        )
         least = float(best.fun)
         if self.white - least < CRITERIA.correlated:
             return None
@@ -578,7 +602,8 @@ class _RestrictedLikelihood:
             # noise for well known.
             if longer <= memory:
                 break
-            misfit, there = self.with_memory(longer)
+            # The steps of a walk stay, so that its share grows as its memory does.
+            misfit, there = self.with_memory(longer, best.x[0] + longer - best.x[1])
             if misfit < float(best.fun) + CRITERIA.as_likely:
                 least = misfit
                 share = there
@@ -587,12 +612,26 @@ class _RestrictedLikelihood:
         phi = float(1.0 - np.exp(-memory))
         return _Remembered(self.white - least, phi, float(expit(share)))
 
-    def _near(self, start: np.ndarray, near: float = _NEAR_SHARE) -> OptimizeResult:
+    def _from_anywhere(self) -> OptimizeResult:
+        """Return the optimum near the two likeliest starts."""
+        starts = [_Remembered(0.0, phi, share).at for share, phi in _STARTS]
+        likely = sorted(starts, key=lambda start: self.misfit(*start.tolist()))
+        best = self._near(likely[0])
+        # Another optimum shows soon; mostly it is the same.
+        other = self._near(likely[1], _ROUGH)
+        if other.fun < best.fun + _ROUGH and np.any(np.abs(other.x - best.x) > _ROUGH):
+            other = self._near(other.x)
+        return min(best, other, key=lambda found: float(found.fun))
+
+    def _near(
+        self, start: np.ndarray, near: float = _NEAR_SHARE, first_step: float = _STEPS[0]
+    ) -> OptimizeResult:
         """Return the optimum near a logit of the share and a log of the memory, both found to
         within ``near``.
         """
-        low, high = np.transpose(_LIMITS)
-        around = np.clip(start + _STEPS, low, high)
+        # Away from a limit.
+        steps = np.where(start + first_step > np.array(_LIMITS)[:, 1], -first_step, first_step)
+        around = start + steps * np.eye(3, 2, -1)
         options = {
             "xatol": near,
             "fatol": 2.0 * near,
