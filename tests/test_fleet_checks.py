@@ -11,9 +11,9 @@ from fleet_cases import PRIOR, Family, Year
 
 from pincal import BadInputError
 from pincal.fleet.checks import FleetWatch, _Step, fleet_changes
-from pincal.fleet.history import DIAGNOSED, FleetHistory, LastCheck, Visit, benjamini_hochberg, e_value
+from pincal.fleet.history import DIAGNOSED, FleetChange, FleetHistory, LastCheck, Visit, benjamini_hochberg, e_value
 from pincal.fleet.robot_type import RobotType, learn_type
-from pincal.fleet.summary import look_first
+from pincal.fleet.summary import look_first, next_step, robot_lines
 
 LAMBDA = 80.0
 
@@ -196,6 +196,29 @@ def test_adjusted_p_values_below_a_twentieth_are_to_be_watched() -> None:
 
     assert [row[:2] for row in table.rows] == [("r1", "watch")]
     assert table.notes[-1] == "nothing was found on 1 other robot"
+
+
+def test_what_is_printed_of_a_fleet_is_brief_and_ends_in_a_step() -> None:
+    """Nine changed robots fit in as few lines as one; the step is about the first, or that there is nothing to inspect."""
+    last = [LastCheck(f"r{k}", "2026-01-08", 1e-12, 1e-12, 99.0 - k) for k in range(9)]
+    last += [LastCheck("r9", "2026-01-08", 0.8, 0.8, 0.0), LastCheck("r10", "2026-01-08", 0.001, 0.01, 0.0)]
+    names = ("joint_3.theta", ("joint_4.s_y", "joint_4", "joint_2"))
+    at = ("2026-01-08", "2026-01-01")
+    changes = [FleetChange(one.machine, False, *at, *names, 4e-4, 1e-5, "rad", one.log_e) for one in last[:9]]
+    found = FleetHistory(tuple(changes), tuple(last), 11, 11, frozenset(one.subject for one in changes), frozenset())
+    watched, calm = (replace(found, changes=(), open=frozenset(), last=tuple(last[k:])) for k in (9, 11))
+
+    lines = dict(robot_lines(found))
+    assert list(lines) == ["r0", "r1", "r2", "r3", "others"]
+    assert lines["r0"].startswith(
+        "changed since 2026-01-01 (found 2026-01-08): joint_3.theta or joint_4.s_y or joint_4 +0.4"
+    )
+    assert lines["others"] == "6 more to look at; nothing was found on 1 other robot"
+    assert next_step(found, "store").startswith("Inspect r0; ") and "--machine r0, then" in next_step(found, "store")
+    assert dict(robot_lines(watched))["r10"] == "watch: unusual on 2026-01-08 (p 0.001), but no alarm"
+    assert next_step(watched, "store") == "Check r10 again soon: pincal fleet add store CHECK.csv --check --machine r10"
+    assert list(robot_lines(calm)) == [("all", "nothing was found on 0 robots")]
+    assert next_step(calm, "store").startswith("Nothing to inspect.")
 
 
 def test_the_latest_round_has_adjusted_p_values(family: Family, of: RobotType) -> None:

@@ -150,6 +150,9 @@ def test_tables_models_and_diagnoses_go_into_a_store(
 
     assert "5 robots, 3 checks: 2 changed" in printed and "joint_3.theta" in printed and "see its diagnosis" in printed
     assert "ignored: checks of r9, which have no calibration" in printed
+    assert len(printed.splitlines()) <= 14 and "next   Inspect r" in printed and "Inspect these first" not in printed
+    assert run("fleet", "check", of, store, "--verbose") == Exit.CHANGED
+    assert "Inspect these first" in capsys.readouterr().out
     page = (folder / "fleet.html").read_text(encoding="utf-8")
     assert run("fleet", "check", of, store, "--out", folder / "fleet", "--json") == Exit.CHANGED
     assert json.loads((folder / "fleet" / "fleet.json").read_text()) == json.loads(capsys.readouterr().out)

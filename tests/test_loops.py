@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import run
 from linkages import WAYS, four_bar, palletizer, rod_arm
 from pairs import in_pairs
 from test_model import (
@@ -162,6 +164,16 @@ def test_loops_that_cant_be_are_refused_by_name(text: bytes, ends: dict[str, str
         Robot.from_urdf(text, **ends)
 
     assert str(caught.value).startswith("URDF:")
+
+
+def test_a_misspelt_drive_of_a_loop_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beside the joint whose reading is asked for; a column of another name is no slip."""
+    robot, table = tmp_path / "robot.urdf", tmp_path / "rows.csv"
+    robot.write_bytes(palletizer())
+    for name, hint in (("jiont_3", ' (is it "jiont_3" of rows.csv?)'), ("travel", "")):
+        table.write_text(f"joint_1,joint_2,{name},joint_4,x,y,z\n0,0.1,0.2,0,1,0,1\n0.1,0.2,0.1,0.3,1,0.1,1.1\n")
+        assert run("check", robot, table, "--cell", "none") == 3
+        assert f"1 without a reading; expected a column of joint_3{hint}\n" in capsys.readouterr().err
 
 
 def test_readings_decide_which_joints_follow() -> None:

@@ -32,6 +32,7 @@ from pincal.errors import (
     BadInputError,
     ChangedRobotError,
     MeasurementError,
+    RobotFileError,
     counted,
     nearest_first,
 )
@@ -269,7 +270,7 @@ def _described(source: InputOptions) -> Robot:
         wanted = TreeRequest(
             base=source.base, joints=(*named.joints[0], *on_way) or None, others=rested
         )
-        return _without_slip(Robot.from_tree(tree, wanted, mass=source.mass), tree, source)
+        return _without_slip(_arm_of(tree, wanted, source), tree, source)
     base = source.base or tree.root
     recorded = tuple(dict.fromkeys(name for columns in named.joints for name in columns))
     wanted = TreeRequest(
@@ -280,7 +281,31 @@ def _described(source: InputOptions) -> Robot:
         paths=[(start or base, str(end)) for start, end in others],
         others=[name for name in (*recorded, *rested) if name in movable],
     )
-    return Robot.from_tree(tree, wanted, mass=source.mass)
+    return _arm_of(tree, wanted, source)
+
+
+def _arm_of(tree: UrdfTree, wanted: TreeRequest, source: InputOptions) -> Robot:
+    """Return the robot, and name the column that may be misspelt where loops lack the reading of a
+    drive.
+    """
+    try:
+        return Robot.from_tree(tree, wanted, mass=source.mass)
+    except RobotFileError as error:
+        moving = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
+        found = _slip(moving, tree, source) if tree.loops else None
+        if found is None or found[1] not in str(error):
+            raise
+        raise RobotFileError(f'{error} (is it "{found[0]}" of {source.data[0].name}?)') from None
+
+
+def _slip(joints: Sequence[str], tree: UrdfTree, source: InputOptions) -> tuple[str, str] | None:
+    """Return a column of the table that is of no joint and nearly that of one of some joints, and
+    this joint; None if there is none.
+    """
+    if not source.data or not joints or joints_of_log(source.data[0]) is not None:
+        return None
+    known = [joint.name for joint in tree.joints]
+    return nearly_named(source.data[0], joints, source.table.options, known=known)
 
 
 def _without_slip(robot: Robot, tree: UrdfTree, source: InputOptions) -> Robot:
@@ -290,16 +315,14 @@ def _without_slip(robot: Robot, tree: UrdfTree, source: InputOptions) -> Robot:
     Raises:
         MeasurementError: with the column and the joint.
     """
-    if source.base is not None or not source.data or joints_of_log(source.data[0]) is not None:
+    if source.base is not None:
         return robot
-    table = source.data[0]
     above = [joint.name for joint in tree.above(robot.base) if joint.kind in MOVING_TYPES]
-    known = [joint.name for joint in tree.joints]
-    found = nearly_named(table, above, source.table.options, known=known) if above else None
-    if found is not None:
+    if (found := _slip(above, tree, source)) is not None:
         raise MeasurementError(
-            f'{table.name}: no column for joint "{found[1]}" (is it "{found[0]}"?); expected a '
-            f"column named as in the URDF, or --base {robot.base} if that joint stood still"
+            f'{source.data[0].name}: no column for joint "{found[1]}" (is it "{found[0]}"?); '
+            f"expected a column named as in the URDF, or --base {robot.base} if that joint stood "
+            "still"
         )
     return robot
 

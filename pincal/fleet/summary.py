@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import ndtr
@@ -15,7 +15,7 @@ from pincal.design.design_model import DesignModel
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError, counted
 from pincal.fleet.fleet_numbers import TYPES, WATCH
-from pincal.fleet.history import FleetChange, FleetHistory
+from pincal.fleet.history import FleetChange, FleetHistory, LastCheck
 from pincal.fleet.robot_type import Learned, Membership, RobotType
 from pincal.identify.options import Options
 from pincal.model.catalogue.masses import with_masses
@@ -49,12 +49,15 @@ _NUMBERS: tuple[Count, ...] = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 _SETS: Count = 8
 # 95 % of a normal distribution lie within this number of standard deviations.
 _INTERVAL: Scale = 1.96
-# Number of robots listed.
+# Number of robots listed, in tables and in brief.
 _FIRST: Count = 10
+_BRIEF: Count = 4
 # Power of ten of odds beyond which their size means nothing more.
 _BEYOND_DOUBT: Scale = 10.0
 # Number of parameters named in which the data sheet is wrong.
 _NAMED: Count = 3
+
+_State = Literal["changed", "watch", "drifted"]
 
 
 @dataclass(frozen=True)
@@ -517,23 +520,28 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
 def _first_rows(found: FleetHistory) -> list[tuple[Cell, ...]]:
     """Return the row of each robot that is to be looked at, in this order."""
     what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
-    state = {one.machine: "watch" for one in found.last if one.q_value < WATCH.watched}
-    state = dict.fromkeys(found.drifted, "drifted") | state | dict.fromkeys(found.open, "changed")
-    order = ("changed", "watch", "drifted")
-    listed = [one for one in found.last if one.machine in state]
-    ranked = sorted(listed, key=lambda one: (order.index(state[one.machine]), -one.log_e))
     return [
         (
             one.machine,
-            state[one.machine],
+            state,
             what.get(one.machine, "-") if one.machine in found.open else "-",
             one.day,
             one.log_e / np.log(10.0),
             one.p_value,
             one.q_value,
         )
-        for one in ranked
+        for one, state in _ranked(found)
     ]
+
+
+def _ranked(found: FleetHistory) -> list[tuple[LastCheck, _State]]:
+    """Return the robots that are to be looked at, and why, the most urgent first."""
+    state: dict[str, _State] = dict.fromkeys(found.drifted, "drifted")
+    state |= {one.machine: "watch" for one in found.last if one.q_value < WATCH.watched}
+    state |= dict.fromkeys(found.open, "changed")
+    listed = [(one, state[one.machine]) for one in found.last if one.machine in state]
+    order = ("changed", "watch", "drifted")
+    return sorted(listed, key=lambda one: (order.index(one[1]), -one[0].log_e))
 
 
 def history_lines(found: FleetHistory) -> Iterator[str]:
@@ -545,6 +553,51 @@ def history_lines(found: FleetHistory) -> Iterator[str]:
     for change in groups:
         line = f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}"
         yield line.removesuffix(" -")
+
+
+def robot_lines(found: FleetHistory, most: int = _BRIEF) -> Iterator[tuple[str, str]]:
+    """Yield each robot to look at, those first that changed and were not recalibrated, and what was
+    found on it; then how many others there are.
+    """
+    ranked = _ranked(found)
+    changes = {one.subject: one for one in found.changes}
+    for last, state in ranked[:most]:
+        if state == "changed":
+            words = _change_words(changes[last.machine])
+        elif state == "watch":
+            words = f"watch: unusual on {last.day} (p {show_chance(last.p_value)}), but no alarm"
+        else:
+            words = f"drifted with its group; last checked on {last.day}"
+        yield last.machine, words
+    more = f"{len(ranked) - most} more to look at; " if len(ranked) > most else ""
+    others = counted(len(found.last) - len(ranked), "other robot" if ranked else "robot")
+    yield "others" if ranked else "all", f"{more}nothing was found on {others}"
+
+
+def _change_words(change: FleetChange) -> str:
+    """Return since when a robot has changed, what, by how much, and how sure that is."""
+    since = f"since {change.since}"
+    if change.found != change.since:
+        since += f" (found {change.found})"
+    what = " or ".join((change.what, *change.equals[:2]))
+    by = f"{what} {_by(change)}".removesuffix(" -")
+    return f"changed {since}: {by}; odds {odds_words(change.log_e / np.log(10.0))}"
+
+
+def next_step(found: FleetHistory, store: str) -> str:
+    """Return the one thing to do next, with the commands."""
+    add = f"pincal fleet add {store}"
+    last, state = next(iter(_ranked(found)), (None, None))
+    if last is None:
+        return f"Nothing to inspect. Add the next round of checks: {add} CHECK.csv --check"
+    if state == "changed":
+        return (
+            f"Inspect {last.machine}; once it is repaired, measure and calibrate it again: {add} "
+            f"NEW.csv --robot ROBOT.urdf --machine {last.machine}, then pincal fleet calibrate"
+        )
+    if state == "watch":
+        return f"Check {last.machine} again soon: {add} CHECK.csv --check --machine {last.machine}"
+    return "Inspect what the robots of the group share, and calibrate them again afterwards"
 
 
 def plain_history(found: FleetHistory) -> dict[str, Any]:

@@ -215,6 +215,7 @@ class FleetCheckArguments:
         "Also write a page: what to look at first.", metavar="PAGE.html", type=Output(".html")
     )
     alpha: float = option("Largest fraction of alarms that may be false, in the long run.", 0.05)
+    verbose: bool = verbose_option()
     every: int = option("Days per round of checks.", 7, metavar="N", type=click.IntRange(min=1))
     general: GeneralOptions = group("General")
 
@@ -241,7 +242,7 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     if arguments.general.as_json:
         print_json(summary.plain_history(found))
     else:
-        _print_history(found)
+        _print_history(found, arguments)
         if strangers:
             click.echo(f"note: ignored: checks of {_some(strangers)}, which have no calibration")
         if left := len(without_information(store)):
@@ -284,18 +285,26 @@ def _since_calibration(visits: Iterable[Visit]) -> tuple[list[Visit], list[str]]
     return known, sorted({visit.machine for visit in ordered} - begun.keys())
 
 
-def _print_history(found: FleetHistory) -> None:
-    """Print what changed in a fleet, and which robots to look at first."""
+def _print_history(found: FleetHistory, arguments: FleetCheckArguments) -> None:
+    """Print what changed in a fleet, which robots to look at first, and what to do next."""
     from pincal.cli.progress import console
+    from pincal.cli.screen import print_lines
     from pincal.fleet import summary
 
+    out = console()
     for line in summary.history_lines(found):
         click.echo(line)
-    if found.changes:
-        console().print(summary.change_summary(found))
-    first = summary.look_first(found)
-    if len(first):
-        console().print(first)
+    if arguments.verbose:
+        for table in (summary.change_summary(found), summary.look_first(found)):
+            if len(table):
+                out.print(table)
+    following = summary.next_step(found, arguments.store)
+    if arguments.verbose:
+        print_lines([("next", following)], out)
+        return
+    page = "" if arguments.report is None else f", or {arguments.report}"
+    more = [("more", f"all tables: --verbose{page}")] if found.changes else []
+    print_lines([*summary.robot_lines(found), ("next", following), *more], out)
 
 
 def _some(names: Sequence[str]) -> str:
