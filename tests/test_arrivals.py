@@ -267,7 +267,7 @@ def test_a_fit_that_weighs_stops_by_far_too_much_shows_how_they_scatter() -> Non
     assert found.readings[0] == pytest.approx(NOISE, rel=0.1)
 
 
-@pytest.mark.parametrize("arrival", [0.0, 2e-5])
+@pytest.mark.parametrize("arrival", [pytest.param(0.0, marks=pytest.mark.long), 2e-5])
 def test_what_other_stations_know_of_the_robot_is_known(arrival: float) -> None:
     """Stops of one station beside single rows of another one: its drives scatter as simulated, and exact ones do not."""
     rows = measured(80, arrival)

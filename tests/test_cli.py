@@ -513,7 +513,7 @@ def test_a_note_on_loops_is_printed_once(tmp_path: Path, capsys: pytest.CaptureF
     robot.write_bytes(palletizer())
     assert run("simulate", robot, "--tip", "tool0", "--poses", "20", "--seed", "1", "--out", table, "--quiet") == 0
     capsys.readouterr()
-    assert run("check", robot, table, "--tip", "tool0", "--cell", "none") == 0
+    assert run("check", robot, table, "--tip", "tool0", "--model", "geometric", "--cell", "none") == 0
     told = capsys.readouterr()
     assert "through the loops closed by rod_head" in " ".join(told.out.split())
     assert "loops" not in told.err
@@ -566,6 +566,9 @@ def test_a_slip_in_the_name_of_a_joint_above_the_base_is_told(tmp_path: Path, ca
     assert run("check", robot, table, "--cell", "none") == 3
     assert 'no column for joint "rail_1" (is it "rial_1"?)' in capsys.readouterr().err
 
-    table.write_text("\n".join([header.replace("rail_1", "travel"), rows]))
+    # Rows of the arm alone, which fit with the rail at rest: no search for what is wrong with them.
+    assert run("simulate", kuka_urdf_path(), "--poses", "20", "--seed", "1", "--out", table, "--quiet") == 0
+    header, *rows = table.read_text().splitlines()
+    table.write_text("\n".join([f"{header},travel", *(f"{row},0" for row in rows)]))
     run("check", robot, table, "--cell", "none")
     assert "no column for joint" not in capsys.readouterr().err

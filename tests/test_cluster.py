@@ -55,13 +55,15 @@ def client() -> Iterator[Any]:
 
 def test_four_workers_cost_little_beside_tasks_of_a_tenth_of_a_second(client: Any) -> None:
     """They take less than a fifth longer than the tasks themselves, in the best of four rounds."""
-    tasks, walls = range(20 * WORKERS), []
+    tasks = range(20 * WORKERS)
     list(spread(nap, range(WORKERS), label="nap", executor=client.get_executor()))
-    for _ in range(4):
+
+    def wall() -> float:
         begun = time.perf_counter()
         assert list(spread(nap, tasks, label="nap", executor=client.get_executor())) == [*tasks]
-        walls.append(time.perf_counter() - begun)
-    assert min(walls) < 1.2 * TASK * len(tasks) / WORKERS
+        return time.perf_counter() - begun
+
+    assert any(wall() < 1.2 * TASK * len(tasks) / WORKERS for _ in range(4))
 
 
 def test_a_worker_is_sent_the_function_once(client: Any, tmp_path: Path) -> None:

@@ -121,7 +121,9 @@ def test_the_delivered_model_is_that_of_all_rows(robot: Robot) -> None:
     assert found.result.rows == {"train": 60, "test": 60}
 
 
-@pytest.mark.parametrize(("poses", "cycles"), [(50, 10), pytest.param(60, 2, marks=pytest.mark.long), (5, 30)])
+@pytest.mark.parametrize(
+    ("poses", "cycles"), [(30, 6), *(pytest.param(*case, marks=pytest.mark.long) for case in ((50, 10), (60, 2))), (5, 30)]
+)
 def test_programs_that_run_in_cycles_are_calibrated(robot: Robot, poses: int, cycles: int) -> None:
     """Poses are left out with all their visits, however many there are; five poses are too few, and that is said."""
     found = run_calibration(robot, measured(poses, cycles), Options(effects=GEOMETRIC, sigma=NOISE))

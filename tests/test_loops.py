@@ -264,7 +264,11 @@ def test_zero_parameters_give_the_nominal_robot(
 
 @pytest.mark.parametrize(
     ("name", "moment_frame", "looped"),
-    in_pairs(["geometric", "joint_elasticity", "bearing_elasticity", "all"], MOMENT_FRAMES, list(MODELS)),
+    # All effects of three loops take a third of the time of these, and are long.
+    [
+        pytest.param(*of.values, marks=[*of.marks, *([pytest.mark.long] if of.values[::2] == ("all", "palletizer") else [])])
+        for of in in_pairs(["geometric", "joint_elasticity", "bearing_elasticity", "all"], MOMENT_FRAMES, list(MODELS))
+    ],
     indirect=["looped"],
 )
 def test_the_jacobian_is_exact(looped: Robot, name: str, moment_frame: MomentFrame, rng: np.random.Generator) -> None:

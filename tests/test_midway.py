@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pairs import one_in_three
 from scipy.stats import beta
 
 from pincal import Options, Robot, calibrate, measurements_from_arrays, run_calibration
@@ -124,7 +123,9 @@ def test_the_line_is_found_among_many_rows() -> None:
     assert found is not None and found.cause.name == "joint_3" and abs(found.line - rows.rows[900]) <= 1
 
 
-@pytest.mark.parametrize("noise", one_in_three(["white", "ar", "heat", "walk", "joint"]))
+@pytest.mark.parametrize(
+    "noise", ["white", *(pytest.param(noise, marks=pytest.mark.long) for noise in ("ar", "heat", "walk", "joint"))]
+)
 def test_a_table_in_which_nothing_changed_is_left_alone(noise: str) -> None:
     """Whatever its noise."""
     assert [seen(table(100 + seed, noise=noise)) for seed in range(3)] == [None] * 3

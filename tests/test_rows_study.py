@@ -40,7 +40,11 @@ def test_neighbouring_rows_have_the_correlation_that_is_said(kind: str, expected
 
 
 @pytest.mark.parametrize(
-    "kind", ["white", "ar_path", "walk_sorted", "repeats", "repeats_cycles", "copies", "instrument_range"]
+    "kind",
+    [
+        *("white", "ar_path", "walk_sorted", "repeats", "copies", "instrument_range"),
+        pytest.param("repeats_cycles", marks=pytest.mark.long),
+    ],
 )
 def test_noise_has_the_covariance_that_is_said(kind: str) -> None:
     """Whitened by it, the squares of what is drawn add up to as many as there are independent readings."""
