@@ -178,6 +178,11 @@ def test_the_transpose_of_what_whitens_serves_the_other_columns() -> None:
 
     expected = np.tensordot(serial.innovations(columns, weights), others, axes=((1, 2), (1, 2)))
     np.testing.assert_allclose(np.tensordot(columns, back, axes=((1, 2), (1, 2))), expected, atol=1e-11)
+    # The same of columns that are stored row by row.
+    for stored, transposed, found in ((columns, False, serial.innovations(columns, weights)), (others, True, back)):
+        rows = np.ascontiguousarray(stored.transpose(2, 1, 0))
+        serial.whiten_rows(rows, weights, transposed=transposed)
+        np.testing.assert_allclose(rows.transpose(2, 1, 0), found, atol=1e-12)
 
 
 def least(misfit: Callable[[float], float]) -> float:

@@ -20,15 +20,17 @@ from pincal.model.sparse_basis import (
     add_product,
     dense_rows,
     mirror,
+    rows_times,
     some_functions,
     sparse_times,
     sparse_times_dense,
+    sparse_times_rows,
     write_times,
 )
 from pincal.thresholds import Count, Scale
 
 # Columns that an operator along the rows changes at once.
-_COLUMNS: Count = 128
+_COLUMNS: Count = 32
 # Parts of the poses are padded to one length up to this factor in size, and up to so many poses at
 # once.
 _PADDING: Scale = 1.5
@@ -54,6 +56,22 @@ class SharedColumns:
                 sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense)
             )
         return np.asarray(self.basis @ np.einsum("mn,dmn->dn", self.column, dense).T)
+
+    def rows_of(self, first: int, end: int) -> np.ndarray:
+        """Return the columns of some of the parameters pose by pose, shape (n, m, end - first)."""
+        if isinstance(self.basis, SparseBasis):
+            found = np.empty((*self.column.shape[::-1], end - first))
+            rows_times(self.basis, self.column, first, found)
+            return found
+        return np.asarray(self.column.T[:, :, None] * self.basis[first:end].T[:, None])
+
+    def times_rows(self, rows: np.ndarray) -> np.ndarray:
+        """Return the products with columns that are stored pose by pose, shape (n, m, D), shape
+        (S, D).
+        """
+        if isinstance(self.basis, SparseBasis):
+            return np.asarray(sparse_times_rows(self.basis, self.column, rows))
+        return np.asarray(self.basis @ np.einsum("mn,nmd->nd", self.column, rows))
 
     def write_columns(self, out: np.ndarray) -> None:
         """Write the columns, shape (S, m, n), which take far more memory."""
@@ -301,13 +319,29 @@ class Jacobian:
 
 
 @dataclass(frozen=True)
+class _Apart:
+    """D parameters with columns of their own, shape (D, n, m): as :class:`SharedColumns`."""
+
+    places: np.ndarray
+    dense: np.ndarray
+
+    def rows_of(self, first: int, end: int) -> np.ndarray:
+        return np.ascontiguousarray(self.dense[first:end].transpose(1, 2, 0))
+
+    def times_rows(self, rows: np.ndarray) -> np.ndarray:
+        n, m, size = rows.shape
+        return np.asarray(self.dense.reshape(-1, n * m) @ rows.reshape(n * m, size))
+
+
+@dataclass(frozen=True)
 class AlongRows:
     """A Jacobian whose columns an operator along the rows changes: with a few columns changed at a
     time, it takes no more memory than without.
 
     Attributes:
         plain: the Jacobian, not changed.
-        change: changes columns, shape (D, m, n), in place; given ``transposed``, by the transpose.
+        change: changes columns that are stored pose by pose, shape (n, m, D), in place; given
+            ``transposed``, by the transpose.
     """
 
     plain: Jacobian
@@ -325,23 +359,30 @@ class AlongRows:
         """Add to G and g as :meth:`Jacobian.add_grams` does, residuals being changed; all poses are
         one part, and weights, if of each reading, are the same for all, as these have one noise.
         """
-        size = self.plain.size
-        square = np.ones(residuals.shape[1]) if weights is None else weights**2
-        for start in range(0, size, _COLUMNS):
-            end = min(start + _COLUMNS, size)
-            columns, places = self.plain.only(np.arange(start, end)).dense_columns()
-            self.change(columns)
-            columns *= square
-            g[0, start + places] += np.tensordot(columns, residuals, axes=2)
-            # Changed back, they meet the other columns as these are stored.
-            self.change(columns, transposed=True)
-            found = np.zeros((size - start, end - start))
-            others = self.plain.only(np.arange(start, size))
-            others.add_products(Jacobian(end - start, places, columns), found)
-            own, rest = np.split(found, [end - start])
-            G[0, start:end, start:end] += 0.5 * (own + own.T)
-            G[0, end:, start:end] += rest
-            G[0, start:end, end:] += rest.T
+        square = np.ones(residuals.shape) if weights is None else np.atleast_2d(weights**2)
+        pull = np.ascontiguousarray((square * residuals).T[:, :, None])
+        self.change(pull, transposed=True)
+        self.plain.add_slope(pull[:, :, 0].T, g[0])
+        apart = _Apart(self.plain.places, self.plain.dense.transpose(0, 2, 1).copy())
+        groups: tuple[_Apart | SharedColumns, ...] = (apart, *self.plain.families)
+        for k, group in enumerate(groups):
+            mine = span(group.places)
+            inner = np.zeros((len(group.places), len(group.places)))
+            for start in range(0, len(inner), _COLUMNS):
+                end = min(start + _COLUMNS, len(inner))
+                rows = group.rows_of(start, end)
+                self.change(rows)
+                rows *= square.T[:, :, None]
+                # Changed back, they meet the other columns as these are stored.
+                self.change(rows, transposed=True)
+                inner[:, start:end] = group.times_rows(rows)
+                here = span(group.places[start:end])
+                for other in groups[k + 1 :]:
+                    across = other.times_rows(rows)
+                    there = span(other.places)
+                    G[0][block(there, here)] += across
+                    G[0][block(here, there)] += across.T
+            G[0][block(mine, mine)] += 0.5 * (inner + inner.T)
 
 
 def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:

@@ -483,7 +483,12 @@ class Station:
             if is_along and (factor := self.factor_alone(rows)) is not None:
                 yield rows, part.weighted(factor)
             elif is_along:
-                yield rows, AlongRows(part, partial(self.uncorrelate, piece=piece, readings=rows))
+                assert self.serial is not None
+                serial = self.serial.of_readings(rows).select(piece)
+                yield (
+                    rows,
+                    AlongRows(part, partial(serial.whiten_rows, weights=self.weights[piece])),
+                )
             else:
                 yield rows, part
 

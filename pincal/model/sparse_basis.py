@@ -156,6 +156,43 @@ def write_times(basis, column, out):
 
 
 @compiled(nogil=True)
+def rows_times(basis, column, first, out):
+    """Write D functions of a sparse basis, from ``first`` on, times a column of shape (m, n), pose
+    by pose: shape (n, m, D).
+    """
+    out[:] = 0.0
+    for i in range(len(out)):
+        for a in range(basis.starts[i], basis.starts[i + 1]):
+            d = basis.place[a] - first
+            if 0 <= d < out.shape[2]:
+                for j in range(len(column)):
+                    out[i, j, d] = basis.value[a] * column[j, i]
+
+
+@compiled(nogil=True)
+def sparse_times_rows(basis, column, rows):
+    """Return a sparse basis, times a column of shape (m, n), times columns that are stored pose by
+    pose, shape (n, m, D): shape (S, D).
+    """
+    n, m, size = rows.shape
+    out = np.zeros((basis.size, size))
+    sums = np.empty(size)
+    for i in range(n):
+        sums[:] = 0.0
+        for j in range(m):
+            factor = column[j, i]
+            own = rows[i, j]
+            for d in range(size):
+                sums[d] += factor * own[d]
+        for a in range(basis.starts[i], basis.starts[i + 1]):
+            value = basis.value[a]
+            to = out[basis.place[a]]
+            for d in range(size):
+                to[d] += value * sums[d]
+    return out
+
+
+@compiled(nogil=True)
 def sparse_times_dense(basis, column, dense):
     """Return a sparse basis, times a column of shape (m, n), times dense columns of shape (D, m,
     n): shape (S, D).
