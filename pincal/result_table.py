@@ -72,6 +72,11 @@ class Column:
 _WIDTH: Count = 100
 # Names are not broken up to this fraction of the width.
 _NARROWEST: Count = 4
+# Letters that fit beside each other on a phone, those between columns, and the most that a name or
+# words in lines take.
+_PHONE: Count = 54
+_BETWEEN: Count = 2
+_IN_LINES: Count = 16
 _STYLES: dict[str, str] = {"": "", "good": "", "care": "yellow", "bad": "red", "mute": "dim"}
 _CLASSES = {
     Kind.LABEL: "nw",
@@ -189,17 +194,31 @@ class Table:
             caption: whether to show the title above the table.
         """
         title = html.escape(one_line(self.title))
-        out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table>']
+        texts_of_rows = self.texts()
+        is_wide = self._is_wide(texts_of_rows)
+        many = ' class="many"' if is_wide else ""
+        out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table{many}>']
         out += [f"<caption>{title}</caption>"] if caption else []
         out.append(_html_row("th", "", self.columns, [column.heading for column in self.columns]))
         blank = [""] * len(self)
         for texts, tone, source in zip(
-            self.texts(), self.tones or blank, self.sources or blank, strict=True
+            texts_of_rows, self.tones or blank, self.sources or blank, strict=True
         ):
-            out.append(_html_row("td", tone, self.columns, texts, source))
+            out.append(_html_row("td", tone, self.columns, texts, source, labelled=is_wide))
         out.append("</table></div>")
         out += [f'<p class="mute">{html.escape(note)}</p>' for note in self.notes]
         return "\n".join(out)
+
+    def _is_wide(self, rows: Sequence[Sequence[str]]) -> bool:
+        """Whether it is wider than a phone, which shows each row as lines, its cells behind their
+        headings.
+        """
+        letters = 0
+        for column, *texts in zip(self.columns, *rows, strict=True):
+            longest = max(map(len, [column.heading, *texts]))
+            in_lines = column.kind in (Kind.NAME, Kind.TEXT, Kind.REMARK)
+            letters += _BETWEEN + (min(longest, _IN_LINES) if in_lines else longest)
+        return letters > _PHONE
 
     def __html__(self) -> str:
         """Return the table without a caption, for a template with its own heading."""
@@ -236,12 +255,23 @@ def one_line(text: str) -> str:
 
 
 def _html_row(
-    tag: str, tone: str, columns: Sequence[Column], texts: Sequence[str], source: str = ""
+    tag: str,
+    tone: str,
+    columns: Sequence[Column],
+    texts: Sequence[str],
+    source: str = "",
+    *,
+    labelled: bool = False,
 ) -> str:
     classes = [_CLASSES.get(column.kind, "") for column in columns]
     if tag == "th":
         classes = ["n" if name == "n" else "" for name in classes]
     marks = [f' class="{name}"' if name else "" for name in classes]
+    if labelled:
+        marks = [
+            mark + f' data-label="{html.escape(column.heading)}"' * bool(text.strip("- "))
+            for mark, column, text in zip(marks, columns, texts, strict=True)
+        ]
     if source:
         marks = [
             mark + (f' data-from="{html.escape(_pointers(source, column.key))}"' * bool(column.key))

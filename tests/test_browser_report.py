@@ -115,6 +115,22 @@ def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str
 
 
 @pytest.mark.long
+@ROOMS
+@pytest.mark.parametrize("name", ["plain", "hostile", "found"])
+@pytest.mark.parametrize("size", SIZES)
+def test_no_table_is_wider_than_the_page(browser: Any, pages: dict[str, Path], name: str, size: str) -> None:
+    """Rows of wide ones are lines on a phone, every cell but empty ones behind its heading."""
+    show(browser, pages[name], size)
+    browser.execute_script("document.querySelectorAll('details').forEach(part => part.open = true);")
+    wider = "return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+    assert [table.text[:60] for table in browser.execute_script(wider)] == []
+    hidden = (
+        "return [...document.querySelectorAll('.many td')].filter(e => !e.checkVisibility() && /[^- ]/.test(e.innerText))"
+    )
+    assert browser.execute_script(hidden) == []
+
+
+@pytest.mark.long
 def test_a_diagnosis_fits_a_phone(browser: Any, kuka: Robot, tmp_path: Path) -> None:
     """Under four screens, and not wider than one."""
     (tmp_path / "report.html").write_text(diagnosis_page(drifted(kuka), version="0"), encoding="utf-8")
