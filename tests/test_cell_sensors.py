@@ -77,9 +77,9 @@ def probed(
             return np.asarray((tip[:, :3, :3] @ TIP + tip[:, :3, 3]) @ normal - d)
 
         for _ in range(6):
-            steps = 1e-6 * np.eye(6)[:3]
-            slopes = np.column_stack([(height(q + step) - height(q - step)) / 2e-6 for step in steps])
-            q[:, :3] -= slopes * ((height(q) - wanted) / np.maximum((slopes**2).sum(axis=1), 0.04))[:, None]
+            at = height(q)
+            slopes = np.column_stack([(height(q + step) - at) / 1e-6 for step in 1e-6 * np.eye(6)[:3]])
+            q[:, :3] -= slopes * ((at - wanted) / np.maximum((slopes**2).sum(axis=1), 0.04))[:, None]
         good = np.flatnonzero(np.abs(height(q) - wanted) < 1e-12)[:each]
         assert len(good) == each
         rows.append(q[good])

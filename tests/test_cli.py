@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run
-from linkages import palletizer
+from linkages import four_bar
 from scipy import stats
 from test_calibrate import paper_table
 
@@ -510,22 +510,22 @@ def test_large_arrays_return_to_the_system():
 def test_a_note_on_loops_is_printed_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In the summary, which has it; where a command is refused, before the refusal."""
     robot, table = tmp_path / "robot.urdf", tmp_path / "t.csv"
-    robot.write_bytes(palletizer())
-    assert run("simulate", robot, "--tip", "tool0", "--poses", "20", "--seed", "1", "--out", table, "--quiet") == 0
+    robot.write_bytes(four_bar())
+    assert run("simulate", robot, "--tip", "tip", "--poses", "20", "--seed", "1", "--out", table, "--quiet") == 0
     capsys.readouterr()
-    assert run("check", robot, table, "--tip", "tool0", "--model", "geometric", "--cell", "none") == 0
+    assert run("check", robot, table, "--tip", "tip", "--model", "geometric", "--cell", "none") == 0
     told = capsys.readouterr()
-    assert "through the loops closed by rod_head" in " ".join(told.out.split())
+    assert "through the loops closed by pin" in " ".join(told.out.split())
     assert "loops" not in told.err
 
     header, rows = table.read_text().split("\n", 1)
     table.write_text("\n".join([header.replace(",z", ",zz"), rows]))
     # A process reads the same content once, and warns of the same file once.
     robot = tmp_path / "again.urdf"
-    robot.write_bytes(palletizer().replace(b"</robot>", b"<!-- again --></robot>"))
-    assert run("check", robot, table, "--tip", "tool0", "--cell", "none") == 3
+    robot.write_bytes(four_bar().replace(b"</robot>", b"<!-- again --></robot>"))
+    assert run("check", robot, table, "--tip", "tip", "--cell", "none") == 3
     told = capsys.readouterr()
-    assert "through the loops closed by rod_head" in told.err.splitlines()[0]
+    assert "through the loops closed by pin" in told.err.splitlines()[0]
 
 
 @pytest.mark.parametrize(

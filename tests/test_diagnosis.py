@@ -36,7 +36,7 @@ CASES = [
     for arm in ("cobot", "heavy")
 ]
 # One of each kind of answer; the others take as long and are as right.
-QUICK = {"null25_heavy_6r", "offset15_heavy_6r", "loose40_cobot_6r"}
+QUICK = {"null25_heavy_6r", "offset15_heavy_6r"}
 
 
 def calibrated(cases: Path, case: str, effects: tuple[pincal.Effect, ...] = ELASTIC) -> FittedRobot:

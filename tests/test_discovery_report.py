@@ -33,7 +33,7 @@ from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
 from pincal.discover.report.found_figures import effect_figure, shrinking_figure, stability_figure
 from pincal.discover.report.found_words import gain_words
-from pincal.discover.report.search_answer import verdict_of_search
+from pincal.discover.report.search_answer import SearchAnswer, verdict_of_search
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
@@ -46,7 +46,7 @@ from pincal.model.catalogue import GearEccentricity, TransmissionError, candidat
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.notes import Note, Severity
 from pincal.parameters import estimate_of
-from pincal.report.judgement import relative_to_noise
+from pincal.report.judgement import judged, relative_to_noise
 
 HIDDEN = (
     "backlash_cobot",
@@ -110,6 +110,7 @@ def test_discovery_json_has_the_fields_of_the_contract(found: Discovery) -> None
             assert set(parameter) == {"value", "sigma", "unit"} and isinstance(parameter["value"], float)
     assert all(entry["effect"] and entry["reason"] for entry in report["not_testable"])
     assert report["verdict"] in ("adequate", "not adequate")
+    assert report["verdict"] == judged(found.calibration.result, SearchAnswer(found)).judgement
 
 
 def test_the_gap_is_a_chain_whose_shares_add_up(found: Discovery) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import fleet_cases as cases
@@ -394,6 +395,12 @@ def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
             load_type(tmp_path / "bad.json")
 
 
+@cache
+def of_eight() -> RobotType:
+    """Return a type that was learned from eight machines."""
+    return learned(Family.drawn(np.random.default_rng(14), parameters=12), 8)[0].type
+
+
 @pytest.mark.parametrize(
     ("name", "places", "value", "words"),
     [
@@ -412,7 +419,7 @@ def test_a_type_that_was_edited_by_hand_is_refused(
     name: str, places: tuple[list[int], ...], value: float, words: str, tmp_path: Path
 ) -> None:
     """By the name of what can't be: no machine could be drawn from it, and the fits by it were wrong or crashed."""
-    of = learned(Family.drawn(np.random.default_rng(14), parameters=12), 8)[0].type
+    of = of_eight()
     of.save(tmp_path / "type.json", provenance={})
     entries = json.loads((tmp_path / "type.json").read_text())
     array = np.array(getattr(of, name))

@@ -188,7 +188,7 @@ def test_errors_of_the_path_are_not_laid_on_the_camera(tmp_path: Path, monkeypat
     """Points of an image share them, so that many rows contradict no camera; one that is off by 0.1 % they do."""
     monkeypatch.setattr("test_motion_pixels.NOISE", 0.02)
     folder = tmp_path / "exact"
-    (table,) = session_tables(ROBOT, [driven(folder)]).values()
+    (table,) = session_tables(ROBOT, [driven(folder, seconds=30)]).values()
     points, lens = read_points(Path(f"{folder}.points.csv")), read_camera(f"{folder}.camera.json").lens()
     for given, said in ((lens, ()), (replace(lens, fx=1.001 * lens.fx, fy=1.001 * lens.fy), ("the images contradict",))):
         options = pincal.Options(effects=pincal.GEOMETRIC, setup=Setup(points=points, lens=given))

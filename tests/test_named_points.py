@@ -161,7 +161,7 @@ def test_a_known_distance_sets_the_scale(machine: sim.TrueMachine, kuka: Robot) 
     assert sigma[0] > 3.0 * sigma[1]
 
 
-@pytest.mark.parametrize("off", [0.0, 1e-3, -2e-2])
+@pytest.mark.parametrize("off", [0.0, 1e-3, pytest.param(-2e-2, marks=pytest.mark.long)])
 def test_a_wrong_distance_between_sockets_is_named(off: float, machine: sim.TrueMachine, kuka: Robot) -> None:
     """With the distance that readings and the arm's own lengths say; a right one is left in peace, and so is another one."""
     table = contacts(machine, kuka, noise=5e-5)

@@ -6,6 +6,7 @@ import io
 import warnings
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -118,11 +119,17 @@ def assert_axes_and_limits(robot: Robot) -> None:
     assert np.all(robot.masses >= 0.0) and robot.centres.shape == (n, 3)
 
 
+@cache
+def arm(name: str, tip: str | None, base: str | None) -> Robot:
+    """Return an arm of example-robot-data, read once."""
+    return Robot.from_urdf(name, tip=tip, base=base)
+
+
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 @pytest.mark.parametrize(("name", "tip", "base"), ARMS)
 def test_frames_pinocchio_and_yourdfpy_agree(name: str, tip: str | None, base: str | None, rng: np.random.Generator) -> None:
     """The tip of every serial arm is the same by Denavit-Hartenberg frames, by Pinocchio and by yourdfpy."""
-    robot = Robot.from_urdf(name, tip=tip, base=base)
+    robot = arm(name, tip, base)
 
     assert_axes_and_limits(robot)
     assert_same_kinematics(robot, np.vstack([np.zeros(robot.n_joints), robot.random_configurations(9, rng)]))
@@ -134,7 +141,7 @@ def test_bodies_hang_on_the_frames(name: str, tip: str | None, base: str | None,
     """Centres of mass placed by the Denavit-Hartenberg frames have Pinocchio's common centre above the base."""
     import pinocchio as pin
 
-    robot = Robot.from_urdf(name, tip=tip, base=base)
+    robot = arm(name, tip, base)
     model, q = robot.pinocchio_model(), robot.random_configurations(1, rng)
     data = model.createData()
     pin.framesForwardKinematics(model, data, robot.configuration(model, q[0]))

@@ -3,6 +3,7 @@
 import re
 import sys
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -81,8 +82,9 @@ def small(text: str | bytes = ARM, tip: str = "tool") -> Robot:
         return Robot.from_urdf(text.encode() if isinstance(text, str) else text, tip=tip)
 
 
+@cache
 def load(source: str, tip: str | None, base: str | None) -> Robot:
-    """Return an arm, its notes on locked joints not of interest."""
+    """Return an arm, read once, its notes on locked joints not of interest."""
     return Robot.from_urdf(source, tip=tip, base=base)
 
 

@@ -270,7 +270,7 @@ def design_check(
 
     Example:
         >>> from pincal.model.effects import GEOMETRIC
-        >>> request = CheckRequest(notice=5e-4, candidates=60, draws=20)
+        >>> request = CheckRequest(notice=5e-4, candidates=60, draws=10)
         >>> options = Options(effects=GEOMETRIC)
         >>> found = design_check(Robot.from_urdf("ur10"), request, options=options)
         >>> found.is_met, 5 < len(found.conditions) < 30
