@@ -198,6 +198,18 @@ class Whitening(NamedTuple):
             found = self.station.uncorrelated_jacobian(jacobian, self.piece, readings)
             yield readings, found.weighted(self.scale[readings])
 
+    def add_grams(
+        self, jacobian: Jacobian, residuals: np.ndarray, H: np.ndarray, g: np.ndarray
+    ) -> None:
+        """Add the products of a Jacobian, once it is whitened, with itself to H, shape (1, F, F),
+        and with whitened residuals to g, shape (1, F), for all rows together.
+        """
+        ends = np.array([0, self.piece.stop - self.piece.start])
+        for readings, part in self.station.by_block(jacobian, self.piece):
+            scale = self.scale[readings]
+            r = np.divide(residuals[readings], scale, where=scale > 0.0, out=np.zeros(scale.shape))
+            part.add_grams(r, ends, H, g, weights=scale)
+
     def add_products(
         self, columns: Jacobian, whitened: Jacobian, S: np.ndarray, readings: slice, rows: slice
     ) -> None:
@@ -213,11 +225,19 @@ class Whitening(NamedTuple):
             others = whitened.poses(rows).weighted(scale * factor)
             columns.part(readings, rows).add_products(others, S)
             return
+        every = slice(0, self.piece.stop - self.piece.start)
+        part = columns.part(readings, every)
+        change = self.station.along_rows(self.piece, readings)
+        if change is not None:
+            by_row = np.zeros(whitened.dense.shape[::-1])
+            by_row[rows] = (whitened.dense[..., rows] * scale).transpose(2, 1, 0)
+            change(by_row, transposed=True)
+            part.add_products_of_rows(by_row, whitened.places, S)
+            return
         dense = np.zeros(whitened.dense.shape)
         dense[..., rows] = whitened.dense[..., rows] * scale
         self.station.uncorrelate(dense, self.piece, readings, transposed=True)
-        every = slice(0, self.piece.stop - self.piece.start)
-        columns.part(readings, every).add_products(replace(whitened, dense=dense), S)
+        part.add_products(replace(whitened, dense=dense), S)
 
 
 class RowPart(NamedTuple):

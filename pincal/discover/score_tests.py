@@ -29,7 +29,7 @@ from pincal.model.effect import Effect, Family
 from pincal.thresholds import Count
 
 # Columns of candidates that are multiplied at once, and numbers of correlated ones (64 MB).
-_MOST_COLUMNS: Count = 256
+_MOST_COLUMNS: Count = 128
 _MOST_NUMBERS: Count = 8_000_000
 # Columns up to which all their products take hardly longer than those of each candidate's own.
 _FEW_COLUMNS: Count = 64
@@ -98,11 +98,13 @@ class _StationColumns(NamedTuple):
             white = Whitening(station, piece, weights[:, piece])
             parts = list(_blocks(blocks[order][piece]))
             residuals = white.whitened(residuals[None])[0]
-            part = _Piece(numbers[piece], parts, white, residuals, jacobian)
+            pieces.append(_Piece(numbers[piece], parts, white, residuals, jacobian))
+            if n_blocks == 1:
+                white.add_grams(jacobian, residuals, H, g)
+                continue
             for readings, whitened in white.jacobians(jacobian):
                 for k, some in parts:
                     whitened.poses(some).add_gram(residuals[readings, some], H[k], g[k])
-            pieces.append(part)
         if (facts := believed(station, *local)) is not None:
             H = H + facts.H / n_blocks
             g = g + facts.g / n_blocks

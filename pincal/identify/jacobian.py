@@ -303,6 +303,19 @@ class Jacobian:
                         family.basis, weights, other.basis
                     )
 
+    @property
+    def groups(self) -> tuple[_Apart | SharedColumns, ...]:
+        """The parameters with columns of their own, and the others."""
+        return (_Apart(self.places, self.dense), *self.families)
+
+    def add_products_of_rows(self, rows: np.ndarray, places: np.ndarray, S: np.ndarray) -> None:
+        """Add J K^T to S, shape (F, F'), for columns K that are stored pose by pose, shape (n, m,
+        D), at these places.
+        """
+        across = span(places)
+        for group in self.groups:
+            S[block(span(group.places), across)] += group.times_rows(rows)
+
     def only(self, columns: np.ndarray) -> Jacobian:
         """Return the part of some columns, in this order."""
         slot = np.full(self.size, -1)
@@ -320,17 +333,16 @@ class Jacobian:
 
 @dataclass(frozen=True)
 class _Apart:
-    """D parameters with columns of their own, shape (D, n, m): as :class:`SharedColumns`."""
+    """D parameters with columns of their own, shape (D, m, n): as :class:`SharedColumns`."""
 
     places: np.ndarray
     dense: np.ndarray
 
     def rows_of(self, first: int, end: int) -> np.ndarray:
-        return np.ascontiguousarray(self.dense[first:end].transpose(1, 2, 0))
+        return np.ascontiguousarray(self.dense[first:end].transpose(2, 1, 0))
 
     def times_rows(self, rows: np.ndarray) -> np.ndarray:
-        n, m, size = rows.shape
-        return np.asarray(self.dense.reshape(-1, n * m) @ rows.reshape(n * m, size))
+        return np.asarray(sum(self.dense[:, j] @ rows[:, j] for j in range(rows.shape[1])))
 
 
 @dataclass(frozen=True)
@@ -363,8 +375,7 @@ class AlongRows:
         pull = np.ascontiguousarray((square * residuals).T[:, :, None])
         self.change(pull, transposed=True)
         self.plain.add_slope(pull[:, :, 0].T, g[0])
-        apart = _Apart(self.plain.places, self.plain.dense.transpose(0, 2, 1).copy())
-        groups: tuple[_Apart | SharedColumns, ...] = (apart, *self.plain.families)
+        groups = self.plain.groups
         for k, group in enumerate(groups):
             mine = span(group.places)
             inner = np.zeros((len(group.places), len(group.places)))

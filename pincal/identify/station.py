@@ -474,23 +474,28 @@ class Station:
         between rows.
         """
         poses = slice(0, piece.stop - piece.start)
-        is_along = self.serial is not None and self.arrival is None
         whole = jacobian
         if self.arrival is not None:
             whole = self.uncorrelated_jacobian(jacobian, piece, slice(0, self.reading_size))
         for rows in self.block_rows:
             part = whole.part(rows, poses)
-            if is_along and (factor := self.factor_alone(rows)) is not None:
-                yield rows, part.weighted(factor)
-            elif is_along:
-                assert self.serial is not None
-                serial = self.serial.of_readings(rows).select(piece)
-                yield (
-                    rows,
-                    AlongRows(part, partial(serial.whiten_rows, weights=self.weights[piece])),
-                )
-            else:
+            factor = self.factor_alone(rows)
+            change = self.along_rows(piece, rows)
+            if change is None:
                 yield rows, part
+            elif factor is not None:
+                yield rows, part.weighted(factor)
+            else:
+                yield rows, AlongRows(part, change)
+
+    def along_rows(self, piece: slice, readings: slice) -> Callable[..., None] | None:
+        """Return what :meth:`uncorrelate` does to columns of a piece that are stored pose by pose,
+        shape (n, m, D); None unless rows are correlated along their order alone.
+        """
+        if self.serial is None or self.arrival is not None:
+            return None
+        serial = self.serial.of_readings(readings).select(piece)
+        return partial(serial.whiten_rows, weights=self.weights[piece])
 
     def apart(
         self, jacobian: Jacobian, piece: slice, *, is_one: bool
