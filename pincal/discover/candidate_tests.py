@@ -44,6 +44,9 @@ from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Har
 from pincal.model.effects import Compliance
 from pincal.sensors.row_samples import spread_rows
 
+NamelessKind = tuple[str, Locus]
+"""Name and locus of an unnamed dependence, without what differs from table to table."""
+
 Tester = Callable[..., ScoreTests]
 """Tests candidates against a fit with nuisances projected out, from effects and, optionally, the
 block of each row.
@@ -70,7 +73,7 @@ class Search:
     first: ModelFit
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
-    nameless: Collection[object] | None = None
+    nameless: Collection[NamelessKind] | None = None
     expected: tuple[Effect, ...] = ()
     _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
 
@@ -79,6 +82,15 @@ class Search:
         if not self._latest or self._latest[0].fit is not fit:
             self._latest[:] = [GivenNuisances(fit, self.groups)]
         return self._latest[0]
+
+    def of_two(self, joints: Sequence[str]) -> Collection[str]:
+        """Return the joints of which unnamed functions of their own and another position are
+        candidates, among all joints.
+        """
+        if self.nameless is None:
+            return joints
+        kinds = [locus for _, locus in self.nameless]
+        return {str(at.joint) for at in kinds if at.acts_on == "drive" and at.follows in joints}
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return the unnamed dependences that are candidates."""
@@ -90,7 +102,7 @@ class Search:
         ]
 
 
-def nameless_kind(effect: Effect) -> object:
+def nameless_kind(effect: Effect) -> NamelessKind:
     """Return the identity of an unnamed dependence without its orders, which differ a little from
     table to table where they were selected among many.
 
@@ -104,7 +116,7 @@ def nameless_kind(effect: Effect) -> object:
     return name, locus
 
 
-def _kind_of_field(effect: Effect) -> object:
+def _kind_of_field(effect: Effect) -> NamelessKind:
     """Return the kind of the field that a function of two joints may become."""
     at = effect.locus
     return effect.name, Locus(at.joint, at.acts_on, at.follows)
@@ -409,7 +421,8 @@ def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> lis
         chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}]
     )
     further = (effect for effect in beyond if _place(effect) in likes)
-    both = [*likely_maps(fit, near), *likely_waves_of_two(fit, near)]
+    wanted = search.of_two(chain.robot.joint_names)
+    both = [*likely_maps(fit, near), *likely_waves_of_two(fit, near, wanted)]
     every = [*nameless_candidates(chain, conditions, near), *further, *both]
     return search.taking_part(missing_from(fit, every))
 

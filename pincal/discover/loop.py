@@ -13,6 +13,7 @@ import numpy as np
 
 from pincal.discover.backward import drop_unneeded, judge_remainders, merge_parts, name_again
 from pincal.discover.candidate_tests import (
+    NamelessKind,
     Search,
     addable,
     has_compliance,
@@ -66,7 +67,7 @@ def discover_effects(
     frames: Sequence[MomentFrame] = (),
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
-    nameless: Collection[object] | None = None,
+    nameless: Collection[NamelessKind] | None = None,
     expected: Sequence[Effect] = (),
 ) -> History:
     """Find the effects that a fit lacks.

@@ -36,7 +36,7 @@ from pincal.calibration.result import result_of
 from pincal.calibration.stated import stated
 from pincal.calibration.validation import Validation
 from pincal.calibration.visit_findings import is_shifted
-from pincal.discover.candidate_tests import nameless_kind, sampled
+from pincal.discover.candidate_tests import NamelessKind, nameless_kind, sampled
 from pincal.discover.discovery_file import (
     Bootstrap,
     EffectName,
@@ -516,7 +516,7 @@ def _names_in_half(
     regions: np.ndarray,
     extra: tuple[Effect, ...],
     policy: Policy,
-    nameless: frozenset[object],
+    nameless: frozenset[NamelessKind],
     expected: tuple[Effect, ...],
     half: np.ndarray,
 ) -> tuple[Group, ...] | None:
