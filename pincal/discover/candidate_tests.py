@@ -32,6 +32,7 @@ from pincal.discover.policy import Policy
 from pincal.discover.scatter import p_value_of_uneven_noise
 from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
+from pincal.identify.calibrate import Tolerance
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.model.at_station import changed_effects, own_effects
@@ -65,7 +66,8 @@ class Search:
         frames: moment frames to choose from.
         nameless: kinds of the unnamed dependences that are candidates, see :func:`nameless_kind`;
             default: all.
-        expected: effects that enter together where each is beyond doubt given all the others.
+        expected: of a part of the rows, the effects that all of them showed: these enter together
+            where each is beyond doubt given all the others.
     """
 
     policy: Policy
@@ -74,7 +76,7 @@ class Search:
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
     nameless: Collection[NamelessKind] | None = None
-    expected: tuple[Effect, ...] = ()
+    expected: tuple[Effect, ...] | None = None
     _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
 
     def tests_of(self, fit: ModelFit) -> GivenNuisances:
@@ -82,6 +84,12 @@ class Search:
         if not self._latest or self._latest[0].fit is not fit:
             self._latest[:] = [GivenNuisances(fit, self.groups)]
         return self._latest[0]
+
+    def until(self, usual: Tolerance) -> Tolerance:
+        """Return how closely last fits converge: of a part of the rows only names are asked for,
+        and no test of these resolves more.
+        """
+        return usual if self.expected is None else Tolerance.CLOSE
 
     def of_two(self, joints: Sequence[str]) -> Collection[str]:
         """Return the joints of which unnamed functions of their own and another position are

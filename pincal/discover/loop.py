@@ -68,7 +68,7 @@ def discover_effects(
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
     nameless: Collection[NamelessKind] | None = None,
-    expected: Sequence[Effect] = (),
+    expected: Sequence[Effect] | None = None,
 ) -> History:
     """Find the effects that a fit lacks.
 
@@ -81,14 +81,14 @@ def discover_effects(
         policy: thresholds and limits.
         nameless: kinds of the unnamed dependences that are candidates (``nameless_kind``); default:
             all.
-        expected: effects of a search on more rows, which enter together where each is beyond doubt
-            given all the others.
+        expected: effects of a search on more rows, of which these are a part: they enter together
+            where each is beyond doubt given all the others, and fits are as close as names need.
     """
 
     def searched(first: ModelFit) -> History:
         few, rows = sampled(first, policy)
-        given = tuple(extra), first, groups[rows], tuple(frames), nameless, tuple(expected)
-        search = Search(policy, *given)
+        given = tuple(extra), first, groups[rows], tuple(frames), nameless
+        search = Search(policy, *given, None if expected is None else tuple(expected))
         state = SearchState(few)
         for step_on in _PASSES:
             state = step_on(state, search)

@@ -8,8 +8,9 @@ poses; one found in less than 60 % is a hint.
 A search on a half starts from the geometric fit of all rows, in their moment frame, with all
 effects of the catalogue and those unnamed dependences that were found on all rows. Of the names
 found on all rows those that the half leaves no doubt of enter together (``sure_names``); the others
-have to be found again one by one. Where effects are selected on a sample of the rows, see
-``Policy.enough_readings``, halves are of this sample.
+have to be found again one by one. Its last fits converge as closely as tests of names need. Where
+effects are selected on a sample of the rows, see ``Policy.enough_readings``, halves are of this
+sample.
 """
 
 from __future__ import annotations
