@@ -47,7 +47,7 @@ from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, listed, named_step
 from pincal.discover.wave_numbers import WAVES
-from pincal.identify.calibrate import refitted_without
+from pincal.identify.calibrate import Tolerance, refitted_without
 from pincal.identify.fit import ModelFit, without
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.effect import Curve, Effect, ExponentialDrift, Family, Harmonic, Resolvable
@@ -140,7 +140,7 @@ def drop_unneeded(state: SearchState, search: Search) -> SearchState:
             by = replace(step, equivalent=equivalent)
             state = state.with_replaced(step, by)
             worth[by] = worth[step]
-        without_it = cache(partial(_refitted_without, state.fit))
+        without_it = cache(partial(_refitted_without, state.fit, search))
         failed = [
             step for step in state.steps if _fails(state, step, worth[step], search, without_it)
         ]
@@ -161,8 +161,11 @@ def drop_unneeded(state: SearchState, search: Search) -> SearchState:
     return replace(state, steps=tuple(steps))
 
 
-def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
-    return refitted_without(fit, with_features(fit, step.effects))
+def _refitted_without(fit: ModelFit, search: Search, step: SearchStep) -> ModelFit:
+    own = with_features(fit, step.effects)
+    # Without compliances other features of bearings may be required.
+    until = Tolerance.SETTLED if step.is_elastic else search.until(Tolerance.SETTLED)
+    return refitted_without(fit, own, until)
 
 
 def _fails(

@@ -32,6 +32,7 @@ from pincal.discover.policy import Policy
 from pincal.discover.scatter import p_value_of_uneven_noise
 from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
+from pincal.identify.calibrate import Tolerance
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.model.at_station import changed_effects, own_effects
@@ -48,6 +49,9 @@ from pincal.thresholds import Count
 
 # Latest fits whose functions of two joints are kept, at least as many as are named again together.
 _FITS: Count = 8
+
+NamelessKind = tuple[str, Locus]
+"""Name and locus of an unnamed dependence, without what differs from table to table."""
 
 Tester = Callable[..., ScoreTests]
 """Tests candidates against a fit with nuisances projected out, from effects and, optionally, the
@@ -67,7 +71,8 @@ class Search:
         frames: moment frames to choose from.
         nameless: kinds of the unnamed dependences that are candidates, see :func:`nameless_kind`;
             default: all.
-        expected: effects that enter together where each is beyond doubt given all the others.
+        expected: of a part of the rows, the effects that all of them showed: these enter together
+            where each is beyond doubt given all the others.
     """
 
     policy: Policy
@@ -75,8 +80,8 @@ class Search:
     first: ModelFit
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
-    nameless: Collection[object] | None = None
-    expected: tuple[Effect, ...] = ()
+    nameless: Collection[NamelessKind] | None = None
+    expected: tuple[Effect, ...] | None = None
     _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
     _of_two: Latest[list[Effect]] = field(
         default_factory=partial(Latest, _FITS), init=False, repr=False
@@ -94,8 +99,24 @@ class Search:
         """
         known = self._of_two.of(fit)
         if joints not in known:
-            known[joints] = [*likely_maps(fit, joints), *likely_waves_of_two(fit, joints)]
+            wanted = self._moved_by_two(fit.problem.chain.robot.joint_names)
+            known[joints] = [*likely_maps(fit, joints), *likely_waves_of_two(fit, joints, wanted)]
         return known[joints]
+
+    def _moved_by_two(self, joints: Sequence[str]) -> Collection[str]:
+        """Return the joints of which unnamed functions of their own and another position are
+        candidates, among all joints.
+        """
+        if self.nameless is None:
+            return joints
+        kinds = [locus for _, locus in self.nameless]
+        return {str(at.joint) for at in kinds if at.acts_on == "drive" and at.follows in joints}
+
+    def until(self, usual: Tolerance) -> Tolerance:
+        """Return how closely last fits converge: of a part of the rows only names are asked for,
+        and no test of these resolves more.
+        """
+        return usual if self.expected is None else Tolerance.CLOSE
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return the unnamed dependences that are candidates."""
@@ -107,7 +128,7 @@ class Search:
         ]
 
 
-def nameless_kind(effect: Effect) -> object:
+def nameless_kind(effect: Effect) -> NamelessKind:
     """Return the identity of an unnamed dependence without its orders, which differ a little from
     table to table where they were selected among many.
 
@@ -121,7 +142,7 @@ def nameless_kind(effect: Effect) -> object:
     return name, locus
 
 
-def _kind_of_field(effect: Effect) -> object:
+def _kind_of_field(effect: Effect) -> NamelessKind:
     """Return the kind of the field that a function of two joints may become."""
     at = effect.locus
     return effect.name, Locus(at.joint, at.acts_on, at.follows)

@@ -317,7 +317,8 @@ def _as_suggested(state: SearchState, step: SearchStep, search: Search) -> Searc
         if all(min(abs(_order(e) - k) for k in cause.orders) < width for e in part)
     ]
     rest = reduce(without, chain.from_iterable(inside), state.fit)
-    after = refit(rest, [*rest.options.effects, cause], start={})
+    until = search.until(Tolerance.SETTLED)
+    after = refit(rest, [*rest.options.effects, cause], start={}, until=until)
     if deviance(after) > deviance(state.fit) + search.policy.tie:
         return state
     log.info("%s is %s, judging by its order", listed([wave]), listed([cause]))
@@ -452,7 +453,8 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
     start: dict[Effect, np.ndarray] = dict(chosen.values())
     effects = _exchanged(fit.options.effects, by)
     fit = with_arrivals(fit) if noise is None else weighed(fit, noise)
-    state = _with_others(state, by, refit(fit, effects, start=start, until=told_by(fit)))
+    until = search.until(told_by(fit))
+    state = _with_others(state, by, refit(fit, effects, start=start, until=until))
     return state.changed(state.fit, state.steps, (), ())
 
 

@@ -13,7 +13,7 @@ for the number of orders and pairs searched.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -157,12 +157,15 @@ def _tells_orders(q: np.ndarray) -> bool:
     return bool(WAVES.pair_step * resolution_of(q) < WAVES.smooth)
 
 
-def likely_waves_of_two(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
+def likely_waves_of_two(
+    fit: ModelFit, joints: Sequence[str], wanted: Collection[str] | None = None
+) -> list[Effect]:
     """Return for each of some joints the wave of its own and another's position that explains most,
     if it is worth a test.
 
     The gain is without a refit; each is then tested like any other candidate, corrected for the
-    orders and pairs searched.
+    orders and pairs searched. Only those of ``wanted`` joints are
+    returned, default: of all.
     """
     situation = situation_of(fit)
     turning = [joint for joint in joints if joint in situation.revolute]
@@ -173,7 +176,8 @@ def likely_waves_of_two(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     along, lever = seen_along(fit, drives)
     found = list[Effect]()
     for joint, b, v in zip(turning, along, lever, strict=True):
-        if joint not in others or not v.any():
+        is_wanted = wanted is None or joint in wanted
+        if not is_wanted or joint not in others or not v.any():
             continue
         wide = [k for k in others if k != joint and _tells_orders(situation.positions(k))]
         own = situation.positions(joint)

@@ -13,6 +13,7 @@ import numpy as np
 
 from pincal.discover.backward import drop_unneeded, judge_remainders, merge_parts, name_again
 from pincal.discover.candidate_tests import (
+    NamelessKind,
     Search,
     addable,
     has_compliance,
@@ -66,8 +67,8 @@ def discover_effects(
     frames: Sequence[MomentFrame] = (),
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
-    nameless: Collection[object] | None = None,
-    expected: Sequence[Effect] = (),
+    nameless: Collection[NamelessKind] | None = None,
+    expected: Sequence[Effect] | None = None,
 ) -> History:
     """Find the effects that a fit lacks.
 
@@ -80,14 +81,14 @@ def discover_effects(
         policy: thresholds and limits.
         nameless: kinds of the unnamed dependences that are candidates (``nameless_kind``); default:
             all.
-        expected: effects of a search on more rows, which enter together where each is beyond doubt
-            given all the others.
+        expected: effects of a search on more rows, of which these are a part: they enter together
+            where each is beyond doubt given all the others, and fits are as close as names need.
     """
 
     def searched(first: ModelFit) -> History:
         few, rows = sampled(first, policy)
-        given = tuple(extra), first, groups[rows], tuple(frames), nameless, tuple(expected)
-        search = Search(policy, *given)
+        given = tuple(extra), first, groups[rows], tuple(frames), nameless
+        search = Search(policy, *given, None if expected is None else tuple(expected))
         state = SearchState(few)
         for step_on in _PASSES:
             state = step_on(state, search)

@@ -8,8 +8,9 @@ poses; one found in less than 60 % is a hint.
 A search on a half starts from the geometric fit of all rows, in their moment frame, with all
 effects of the catalogue and those unnamed dependences that were found on all rows. Of the names
 found on all rows those that the half leaves no doubt of enter together (``sure_names``); the others
-have to be found again one by one. Where effects are selected on a sample of the rows, see
-``Policy.enough_readings``, halves are of this sample.
+have to be found again one by one. Its last fits converge as closely as tests of names need. Where
+effects are selected on a sample of the rows, see ``Policy.enough_readings``, halves are of this
+sample.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from pincal.calibration.result import result_of
 from pincal.calibration.stated import stated
 from pincal.calibration.validation import Validation
 from pincal.calibration.visit_findings import is_shifted
-from pincal.discover.candidate_tests import nameless_kind, sampled
+from pincal.discover.candidate_tests import NamelessKind, nameless_kind, sampled
 from pincal.discover.discovery_file import (
     Bootstrap,
     EffectName,
@@ -516,7 +517,7 @@ def _names_in_half(
     regions: np.ndarray,
     extra: tuple[Effect, ...],
     policy: Policy,
-    nameless: frozenset[object],
+    nameless: frozenset[NamelessKind],
     expected: tuple[Effect, ...],
     half: np.ndarray,
 ) -> tuple[Group, ...] | None:

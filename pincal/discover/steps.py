@@ -260,7 +260,8 @@ def reject_outliers_again(state: SearchState, search: Search) -> SearchState:
     if all(station.trusted is None for station in fit.problem.stations):
         return state
     untrusting = fit.over(replace(station, trusted=None) for station in fit.problem.stations)
-    return state.fitted_again(refit(untrusting, fit.options.effects, start={}))
+    until = search.until(Tolerance.SETTLED)
+    return state.fitted_again(refit(untrusting, fit.options.effects, start={}, until=until))
 
 
 def add_prior_elasticity(state: SearchState, search: Search) -> SearchState:
@@ -306,13 +307,12 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
     """
     if len(search.groups) < len(state.fit.problem):
         return state
+    until = search.until(Tolerance.SETTLED)
 
     def offers(state: SearchState) -> Iterator[Scored[SearchStep]]:
         if (found := hidden_wave(state.fit, search)) is not None:
             log.info("found %s as the cause of the curves", listed(found.effects))
-            yield Scored(
-                named_step(state.fit, found, search, until=Tolerance.SETTLED), found.row.cost
-            )
+            yield Scored(named_step(state.fit, found, search, until=until), found.row.cost)
 
     return select_stepwise(state, offers, SearchState.with_step, most=search.policy.most_steps)
 
@@ -386,7 +386,8 @@ def refine_time_constants(state: SearchState, search: Search) -> SearchState:
     for step in state.steps:
         for effect in step.effects:
             if isinstance(effect, ExponentialDrift):
-                fit, about = linearised_about_itself(state.fit, effect)
+                until = search.until(Tolerance.SETTLED)
+                fit, about = linearised_about_itself(state.fit, effect, until)
                 steps = tuple(replace(s, effects=(about,)) if s is step else s for s in state.steps)
                 state = state if about == effect else state.changed(fit, steps, (), ())
     return state

@@ -37,7 +37,7 @@ def add_sure_names(state: SearchState, search: Search) -> SearchState:
 
     On a small table priors decide, and none is beyond doubt.
     """
-    expected = missing_from(state.fit, search.expected)
+    expected = missing_from(state.fit, search.expected or ())
     if len(expected) < 2 or is_small_table(state.fit, search.policy):
         return state
     state = _with_elasticity(state, search)

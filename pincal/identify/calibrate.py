@@ -468,13 +468,17 @@ def told_by(fit: ModelFit) -> Tolerance:
     return Tolerance.TOLD if is_along_rows else Tolerance.SETTLED
 
 
-def refitted_without(fit: ModelFit, effects: Iterable[Effect]) -> ModelFit:
-    """Fit the same readings without some effects of a fit, all others jointly.
+def refitted_without(
+    fit: ModelFit, effects: Iterable[Effect], until: Tolerance = Tolerance.SETTLED
+) -> ModelFit:
+    """Fit the same readings without some effects of a fit, all others jointly; to a convergence
+    that is only ``until`` close, in the last stage alone.
 
     A test of what was left out needs it: unless the others are at their best, what they would take
     up counts as noise.
     """
-    return refit(fit, reduce(without, effects, fit).options.effects)
+    rest = reduce(without, effects, fit).options.effects
+    return refit(fit, rest, start={} if until is Tolerance.CLOSE else None, until=until)
 
 
 def reweighted_by_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
