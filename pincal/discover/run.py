@@ -278,6 +278,7 @@ class _Ended:
         fit: its last fit, with the uncertainty of its model; as in the URDF if no effect was found
             and the readings do not improve the robot.
         validated: the errors of this fit at rows that were held out; None without any.
+        of_names: the same of the fit of names alone, if something entered without one.
         gaps: errors on held-out rows at the start, after each change of the model.
         traces: partial residuals of each effect.
         arrivals: to how much all drives alike would have to stop to explain residuals beyond the
@@ -292,6 +293,7 @@ class _Ended:
     untold: float
     fit: ModelFit
     validated: Validated | None
+    of_names: Validated | None
     gaps: tuple[Stage, ...]
     traces: tuple[PartialResidual, ...]
     arrivals: float | None
@@ -313,7 +315,8 @@ class _Ended:
         # Rows that the first model could not describe may be sound.
         fit = replace(fit, nominal=nominal_without_outliers(fit))
         validated = Validated.of(fit, first.stations, first.folds)
-        gaps, held_out = stages_of(trail, first.stations, validated)
+        of_names = None if rest is None else Validated.of(named.final, first.stations, first.folds)
+        gaps, held_out = stages_of(trail, first.stations, validated, of_names)
         origins = ", ".join(
             dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations)))
         )
@@ -332,7 +335,8 @@ class _Ended:
             arrivals=arrivals,
         )
         return cls(
-            first, named, trail, rest, untold, fit, validated, gaps, traces, arrivals, findings
+            *(first, named, trail, rest, untold, fit),
+            *(validated, of_names, gaps, traces, arrivals, findings),
         )
 
     @property
@@ -366,8 +370,7 @@ class _Ended:
         verdict = result.verdict_of(incomplete=incomplete)
         if self.rest is not None:
             named = widened(self.named, untold=self.untold)
-            validated = Validated.of(named, first.stations, first.folds)
-            of_names = given(named, validated=validated, parameters=())
+            of_names = given(named, validated=self.of_names, parameters=())
             verdict = of_names.verdict_of(incomplete=incomplete)
         known, result = stated(self.fit, result, verdict)
         final = Calibration(first.robot, first.stations, known, result, notes, self.validated)

@@ -61,7 +61,10 @@ def _gaps(errors: Mapping[str, Mapping[str, float]]) -> dict[str, Gap]:
 
 
 def stages_of(
-    trail: History, rows: Sequence[StationRows], validated: Validated | None = None
+    trail: History,
+    rows: Sequence[StationRows],
+    validated: Validated | None = None,
+    of_names: Validated | None = None,
 ) -> tuple[tuple[Stage, ...], dict[str, dict[Literal["before", "after"], Gap]]]:
     """Return the errors at the start and after each change of the model, and at start and end on
     rows held out in each way.
@@ -69,7 +72,8 @@ def stages_of(
     The share of a change is its reduction of the mean square given the previous changes, so that
     nothing counts twice. (Shapley values would divide it evenly, but need a fit of every subset.)
     ``validated`` are the errors of the last fit by cross-validation; default: rows were held out
-    for good, or none.
+    for good, or none. ``of_names`` are those of the fit before it, if what has no name entered
+    last.
     """
     folds = None if validated is None else validated.folds
     final = trail.changes[-1].fit if trail.changes else trail.first
@@ -78,7 +82,9 @@ def stages_of(
     lead = headline_of({part: {"mean_mm": gap.mean_mm} for part, gap in last.items()})
     # Between them only the headline is shown.
     leading = None if folds is None else folds.only(cast(Way, lead))
-    between = [gaps_of(change.fit, rows, leading)[lead] for change in trail.changes[:-1]]
+    fits = [change.fit for change in trail.changes[:-1]]
+    known = [] if of_names is None else [_gaps(of_names.errors("calibrated"))[lead]][: len(fits)]
+    between = [gaps_of(fit, rows, leading)[lead] for fit in fits[: len(fits) - len(known)]] + known
     gaps = [first[lead], *between, *([last[lead]] if trail.changes else [])]
     squares = [gap.rms_mm**2 for gap in gaps]
     fell = squares[0] - squares[-1]

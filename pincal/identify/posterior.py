@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
+from pincal.identify.jacobian import span
 from pincal.identify.quadratic import NULL, Form
 from pincal.parameters import Covariance, root_of
 from pincal.thresholds import Scale
@@ -466,12 +467,15 @@ class Posterior:
         """
         prior, frames = self._parts
         D = self.sizes[prior]
-        S = np.take(np.take(self.form.H, prior, axis=0), prior, axis=1)
-        S -= self.form.H[prior[:, None], frames] @ self._follow
+        H = self.form.H
+        at = span(prior)
+        # Mostly frames stand together, and the others are a block, which needs no copy of its own.
+        S = H[at, at] if isinstance(at, slice) else np.take(np.take(H, at, axis=0), at, axis=1)
+        S = S - H[prior[:, None], frames] @ self._follow
         S *= D
         S *= D[:, None]
         S.flat[:: len(S) + 1] += 1.0
-        return S.T
+        return np.asarray(S.T)
 
 
 @dataclass(frozen=True)

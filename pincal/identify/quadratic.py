@@ -70,11 +70,12 @@ class Form:
         return Form(H, self.g[..., at], self.whole[..., at])
 
     def sum(self) -> Form:
-        """Return the sum over leading axes."""
-        several = tuple(range(self.g.ndim - 1))
-        return Form(
-            *(np.sum(of, axis=several) if several else of for of in (self.H, self.g, self.whole))
-        )
+        """Return the sum over leading axes; of a single form its own arrays."""
+        *several, _ = self.g.shape
+        parts = (self.H, self.g, self.whole)
+        if all(n == 1 for n in several):
+            return Form(*(of[(0,) * len(several)] for of in parts))
+        return Form(*(np.sum(of, axis=tuple(range(len(several)))) for of in parts))
 
     def gain(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[float, int]:
         """Return how much some parameters, the others held, reduce the sum of squares, and their
