@@ -293,6 +293,20 @@ def small_unit(unit: str) -> Unit:
     return _SMALL.get(unit, Unit(1.0, unit))
 
 
+def unit_of_size(value: float, unit: str) -> Unit:
+    """Return the unit for showing an effect of some size given in an SI unit: the small one, or
+    millimetres and milliradians from one of these on.
+
+    Example:
+        >>> unit_of_size(2.1e-5, "m").name, unit_of_size(-0.346, "m").name
+        ('µm', 'mm')
+    """
+    factor, name = small_unit(unit)
+    if abs(value * factor) >= 1000.0 and name in ("µrad", "µm"):
+        return Unit(factor / 1000.0, name.replace("µ", "m"))
+    return Unit(factor, name)
+
+
 def format_readable(value: float, unit: str, form: str = ".3g") -> str:
     """Return an SI value in its readable unit.
 
@@ -344,12 +358,8 @@ def format_small(value: float, unit: str) -> str:
         >>> format_small(2.13e-5, "rad"), format_small(3.2e-3, "rad"), format_small(6.31e-6, "1/K")
         ('21 µrad', '3.2 mrad', '6.3 ppm/K')
     """
-    factor, name = small_unit(unit)
-    scaled = value * factor
-    if abs(scaled) >= 1000.0 and name in ("µrad", "µm"):
-        scaled = scaled / 1000.0
-        name = name.replace("µ", "m")
-    return f"{format_digits(scaled)} {name}"
+    factor, name = unit_of_size(value, unit)
+    return f"{format_digits(value * factor)} {name}"
 
 
 def format_digits(value: float) -> str:

@@ -84,5 +84,5 @@ def test_exports_state_what_the_calibration_did(rippled: Calibration, name: str,
     export_model(rippled.fit, name, path)
     texts = [part.read_text() for part in (path.glob("*") if path.is_dir() else [path])]
     for text in texts:
-        assert f"{1e3 * 2.0 * statement.here:.4f} mm a coordinate at these poses" in text
+        assert f"{1e3 * 2.0 * statement.here:.4f} mm a coordinate at the poses of its calibration" in text
         assert text.count(next(statement.notes())[5:40]) >= 1

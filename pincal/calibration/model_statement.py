@@ -46,10 +46,18 @@ class ModelStatement(Record, frozen=True, kw_only=True):
 
     @property
     def worth(self) -> str:
-        """How good predictions are, in words; "" where it is not known.
+        """How good predictions are beside the rows of the calibration, see :meth:`worth_at`."""
+        return self.worth_at("these poses")
+
+    def worth_at(self, poses: str) -> str:
+        """Return how good predictions are, in words; "" where it is not known.
+
+        Args:
+            poses: what those of the calibration are called.
 
         Example:
-            >>> ModelStatement(verdict=Verdict.ADEQUATE, here=2e-5, anywhere=5e-5).worth
+            >>> found = ModelStatement(verdict=Verdict.ADEQUATE, here=2e-5, anywhere=5e-5)
+            >>> found.worth_at("these poses")
             'good to U (k = 2) 0.0400 mm a coordinate at these poses, 0.1000 mm anywhere'
         """
         if self.here is None or self.anywhere is None:
@@ -57,7 +65,7 @@ class ModelStatement(Record, frozen=True, kw_only=True):
         here = 1e3 * COVERAGE_FACTOR * self.here
         anywhere = 1e3 * COVERAGE_FACTOR * self.anywhere
         return (
-            f"good to U (k = {COVERAGE_FACTOR:.0f}) {here:.4f} mm a coordinate at these poses, "
+            f"good to U (k = {COVERAGE_FACTOR:.0f}) {here:.4f} mm a coordinate at {poses}, "
             f"{anywhere:.4f} mm anywhere"
         )
 

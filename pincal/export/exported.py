@@ -239,7 +239,8 @@ def worth_of(calibrated: FittedRobot) -> list[str]:
     statement = calibrated.statement
     if statement is None:
         return []
-    return [said for said in (statement.worth, *statement.notes()) if said]
+    worth = statement.worth_at("the poses of its calibration")
+    return [said for said in (worth, *statement.notes()) if said]
 
 
 def _worth_lines(calibrated: FittedRobot) -> list[str]:

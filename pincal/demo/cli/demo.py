@@ -34,7 +34,12 @@ if TYPE_CHECKING:
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PaperMachine
 
-# As in the paper's section V: a tool point off the flange, and a tracker in an unknown pose.
+# The models of the paper, with what is calibrated in each.
+_MODELS = {
+    "standard DH": "standard DH: base and tool only",
+    "DH,s": "DH,s: lengths and angles, too",
+    "DH,s,e": "DH,s,e: and elasticity",
+}
 # Why a better rigid model is hardly better here.
 _SOFT = (
     "DH,s is hardly better than standard DH here: most of this machine's error is the deflection "
@@ -42,6 +47,7 @@ _SOFT = (
     "can follow. Independent errors add as squares, so that the geometry which DH,s corrects shows "
     "little beside it. DH,s,e has both."
 )
+# As in the paper's section V: a tool point off the flange, and a tracker in an unknown pose.
 _TOOL: tuple[Scale, Scale, Scale] = (0.05, 0.03, 0.12)
 _NOISE: Scale = 5e-5
 _ROWS: Count = 300
@@ -169,7 +175,8 @@ def _calibrate(folder: Path, robot: Robot, seed: int) -> dict[str, Calibration]:
     }
     origin = provenance([data, urdf], seed=seed)
     write_results(folder, FitOutput(runs["DH,s,e"]), origin, view=True)
-    drawn = deviation_figure(_deviations(runs), remark=_SOFT)
+    sizes = {_MODELS[name]: found for name, found in _deviations(runs).items()}
+    drawn = deviation_figure(sizes, remark=_SOFT)
     drawn.savefig(folder / "deviations.png", dpi=120)
     return runs
 

@@ -50,7 +50,7 @@ from pincal.units import (
     show_chance,
     show_measured,
     show_percent,
-    small_unit,
+    unit_of_size,
 )
 
 # An effect with more parameters than this is a curve; its numbers are in discovery.json.
@@ -279,7 +279,7 @@ def _gain_pointers(at: str, entry: FoundEffect) -> list[str]:
 
 def _measured(p: FoundParameter, at: str) -> Markup:
     """Return a value with its standard deviation to two digits, in a readable unit."""
-    unit = small_unit(p.unit)
+    unit = unit_of_size(max(abs(p.value), p.sigma or 0.0), p.unit)
     if not p.sigma:
         return sourced(f"{format_digits(p.value * unit.factor)} {unit.name}", f"{at}/value")
     words = show_measured(p.value, p.sigma, unit)

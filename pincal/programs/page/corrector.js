@@ -214,7 +214,7 @@ function bounds() {
   return Object.assign(SEEN, { of: result, start: String(options.start), middle, radius });
 }
 // Write the names of joints beside these, none over another and none over the edge.
-function label(ctx, places, paint) {
+function label(ctx, places, paint, ground) {
   const right = ctx.canvas.getBoundingClientRect().width - 6;
   const taken = [], names = JOINTS.length <= 9 ? JOINTS.map((_, i) => `J${i + 1}`) : JOINTS;
   Object.assign(ctx, { font: "600 12px system-ui, sans-serif", fillStyle: paint, textBaseline: "middle" });
@@ -224,6 +224,9 @@ function label(ctx, places, paint) {
     let at = y;
     while (taken.some(([left, top, w]) => Math.abs(top - at) < 14 && x < left + w + 4 && left < x + wide + 4)) at += 14;
     taken.push([x, at, wide]);
+    // A rim in the colour of the ground: letters on a dark body can't be read without it.
+    Object.assign(ctx, { lineWidth: 4, lineJoin: "round", strokeStyle: ground });
+    ctx.strokeText(text, x, at);
     ctx.fillText(text, x, at);
   });
 }
@@ -265,7 +268,7 @@ function draw() {
     const half = 0.53 * girth * Math.max(0.45, 1 - 0.5 * i / axes.length), p = points[i + 1];
     stroke([-1, 1].map((side) => seen(p.map((x, k) => x + side * half * axis[k]))), thick * Math.max(0.5, 1 - 0.45 * i / axes.length), colour("joint"));
   });
-  label(ctx, axes.map((_, i) => seen(points[i + 1])).map(([x, y]) => [x + 0.75 * thick + 6, y]), colour("text"));
+  label(ctx, axes.map((_, i) => seen(points[i + 1])).map(([x, y]) => [x + 0.75 * thick + 6, y]), colour("text"), colour("card"));
   const good = rows.filter((r) => r.before), longest = good.reduce((most, r) => Math.max(most, r.before[0]), 0);
   const exact = longest > 0 ? 0.12 * reach / longest : 1, power = 10 ** Math.floor(Math.log10(exact) + 1e-9);
   const factor = longest > 0 ? power * [5, 2, 1].find((d) => d * power <= exact * (1 + 1e-9)) : 1;

@@ -54,6 +54,8 @@ _PER_TICK: Scale = 0.21
 _MOST_DECADES: Scale = 1500.0
 # Letters of a name that fit a figure.
 _LONGEST: Count = 34
+# Last letters of a name that is cut within.
+_LAST: Count = 4
 
 
 def canvas(
@@ -119,17 +121,22 @@ def drawable(text: str, longest: int = _LONGEST) -> str:
 
 
 def drawable_parameter(name: str, longest: int = _LONGEST) -> str:
-    """Return the name of a parameter as text to draw; of a long one the element is cut, as those of
-    one joint differ by their symbol.
+    """Return the name of a parameter as text to draw. Of a long one the element is cut within, as
+    those of one joint differ by their symbol, and joints by their first or last letters.
 
     Example:
         >>> drawable_parameter("right_shoulder_pan_joint.theta", 26)
-        'right_shoulder_pan_….theta'
+        'right_shoulder_pan.theta'
+        >>> drawable_parameter("shoulder_lift_joint.friction_windup", 26)
+        'shoul…lift.friction_windup'
     """
     element, dot, symbol = one_line(name).rpartition(".")
     room = longest - len(symbol) - len(dot)
     if len(name) <= longest or not dot or room < 1:
         return drawable(name, longest)
+    element = element.removesuffix("_joint")
+    if len(element) > room > _LAST + 1:
+        element = f"{element[: room - _LAST - 1]}…{element[-_LAST:]}"
     return f"{drawable(element, room)}.{drawable(symbol)}"
 
 
