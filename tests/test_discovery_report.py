@@ -588,6 +588,15 @@ def _is(hidden: dict[str, Any], named: dict[str, Any]) -> bool:
     return all(hidden[key] == named.get(key) for key in keys)
 
 
+@pytest.mark.parametrize(("left", "is_mentioned"), [(4.9e-4, False), (5.1e-4, True)])
+def test_errors_below_what_is_printed_are_not_mentioned(found: Discovery, left: float, is_mentioned: bool) -> None:
+    """Less than half a micrometre would be 0.000 mm."""
+    sound = {"verdict": FoundVerdict.ADEQUATE, "warnings": ()}
+    findings = msgspec.structs.replace(found.findings, unexplained_mm=left, **sound)
+
+    assert ("mm rms beyond the noise" in str(verdict_of_search(findings).reason)) == is_mentioned
+
+
 def test_a_verdict_says_what_is_wrong() -> None:
     """Never "not adequate" with nothing unexplained: a joint scatters, or single rows are too far off."""
     gap = Gap(mean_mm=0.1, rms_mm=0.1, max_mm=0.2)

@@ -159,13 +159,14 @@ def test_parameters_are_named_by_element_and_symbol(robot: Robot, name: str) -> 
         assert model.names[model.index(parameter.name)] == parameter.name
 
 
+@njit
+def turned(angles: np.ndarray, cosines: np.ndarray, sines: np.ndarray) -> None:
+    for i in range(len(angles)):
+        kernel_walk.cosines_and_sines(angles[i], cosines[i], sines[i])
+
+
 @pytest.mark.parametrize("reach", [0.8, 7.0, 1e4, 1e6])
 def test_cosines_and_sines_are_exact(reach: float, rng: np.random.Generator) -> None:
-    @njit
-    def turned(angles: np.ndarray, cosines: np.ndarray, sines: np.ndarray) -> None:
-        for i in range(len(angles)):
-            kernel_walk.cosines_and_sines(angles[i], cosines[i], sines[i])
-
     angles = rng.uniform(-reach, reach, (200, kernel_walk.LANES))
     # At all eighths of a turn near zero, where quarters change.
     angles[0] = 0.25 * np.pi * (np.arange(kernel_walk.LANES) - 32)

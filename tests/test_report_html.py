@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec import UNSET
-from msgspec.structs import replace as changed
 from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, page_of, panda_run
 
 from pincal import Robot
 from pincal.calibration.calibration import Calibration
-from pincal.discover.report.search_answer import SearchAnswer, verdict_of_search
+from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
 from pincal.identify.explain import Cause, Reason
 from pincal.report import sections
@@ -27,7 +26,6 @@ from pincal.report.subject import Subject
 from pincal.report.words import effect_meaning, is_worse_elsewhere
 from pincal.result_table import Column, Kind, Table
 from pincal.units import fixed
-from pincal.validate.misfit import Verdict
 from pincal.validate.outcome import Elsewhere
 
 pytestmark = pytest.mark.drawn
@@ -263,14 +261,6 @@ def test_a_ratio_that_rounds_to_one_is_left_out(run: Calibration, ratio: float, 
     words = Page(_headline(subject)).text
 
     assert ("times as large" in words) == bool(times) and times in words
-
-
-@pytest.mark.parametrize(("left", "is_mentioned"), [(4.9e-4, False), (5.1e-4, True)])
-def test_errors_below_what_is_printed_are_not_mentioned(found: Discovery, left: float, is_mentioned: bool) -> None:
-    """Less than half a micrometre would be 0.000 mm."""
-    findings = changed(found.findings, unexplained_mm=left, verdict=Verdict.ADEQUATE, warnings=())
-
-    assert ("mm rms beyond the noise" in str(verdict_of_search(findings).reason)) == is_mentioned
 
 
 def test_causes_cover_every_reason(run: Calibration) -> None:

@@ -257,22 +257,27 @@ def _lost(
     frame: pl.DataFrame, readings: Sequence[SheetColumn], flag: SheetColumn | None
 ) -> dict[str, np.ndarray]:
     """Return which rows have no valid reading, shape (N,), by the reason in words."""
-    import polars as pl
-
     lost = dict[str, np.ndarray]()
     for column in readings:
         series = frame[column.name]
-        text = series.cast(pl.String).str.strip_chars().str.to_lowercase()
-        is_empty = series.is_nan() if series.dtype.is_float() else text.str.contains(_NOTHING)
+        is_empty = (
+            series.is_nan() if series.dtype.is_float() else _plain(series).str.contains(_NOTHING)
+        )
         lost.setdefault("have an empty reading", np.zeros(frame.height, bool))
         lost["have an empty reading"] |= is_empty.fill_null(True).to_numpy()
     if flag is not None:
         pattern = _INVALID + (r"|^0(\.0*)?$" if flag.label.casefold() in _ZERO_IS_INVALID else "")
-        text = frame[flag.name].cast(pl.String).str.strip_chars().str.to_lowercase()
         lost[f'are flagged in the column "{flag.label}"'] = (
-            text.str.contains(pattern).fill_null(False).to_numpy()
+            _plain(frame[flag.name]).str.contains(pattern).fill_null(False).to_numpy()
         )
     return lost
+
+
+def _plain(series: pl.Series) -> pl.Series:
+    """Return the texts of a column in lower case, without blanks around them."""
+    import polars as pl
+
+    return series.cast(pl.String).str.strip_chars().str.to_lowercase()
 
 
 def _replaced(

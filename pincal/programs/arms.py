@@ -151,7 +151,7 @@ class ArmSearch:
         """Return the frames whose z axes are those of the joints, shape (N, 6, 4, 4)."""
         frames = self.robot.kinematics.frames(q)
         frames[:, 0] = self.robot.kinematics.first
-        return np.asarray(np.einsum("nijk,ikl->nijl", frames[:, :-1], self.robot.kinematics.before))
+        return np.asarray(frames[:, :-1] @ self.robot.kinematics.before)
 
     def _shape(self, q: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the direction that the arm faces, and its wrist and its elbow, shape

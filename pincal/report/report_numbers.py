@@ -44,7 +44,7 @@ class ReportNumbers:
     beyond_noise: float = number(
         5e-4,
         "mm",
-        "test_report_html.py::test_errors_below_what_is_printed_are_not_mentioned",
+        "test_discovery_report.py::test_errors_below_what_is_printed_are_not_mentioned",
         "of errors beyond the noise, below which a verdict does not mention them",
         "it is printed as 0.000",
     )

@@ -424,16 +424,17 @@ def _best(
     """
     D = field.directions
     n, _, m = D.shape
+    across = D.transpose(0, 2, 1)
     sums = _after(np.einsum("nam,na->nm", D, weighed))
-    parts = _after(np.einsum("nam,nar->nmr", D, seen))
+    parts = _after(across @ seen)
     if precision is None:
-        own = _after(np.einsum("nam,nak->nmk", D, D))
+        own = _after(across @ D)
     else:
         own = np.empty((n, m, m))
         for a in range(m):
             for b in range(a, m):
                 both = precision * (D[:, :, a] @ D[:, :, b].T)
-                own[:, a, b] = own[:, b, a] = np.diag(_after(_after(both).T))
+                own[:, a, b] = own[:, b, a] = _after_both(both)
     normal = own - parts @ parts.transpose(0, 2, 1)
     # A motion within the span of the fitted parameters has no gain.
     scale = np.sqrt(np.maximum(np.einsum("naa->na", own), 1e-300))
@@ -450,6 +451,13 @@ def _best(
 def _after(values: np.ndarray) -> np.ndarray:
     """Return the sums from each row on."""
     return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
+
+
+def _after_both(values: np.ndarray) -> np.ndarray:
+    """Return the sums of a matrix from each row on and the column of the same number on."""
+    along_row = np.triu(values).sum(axis=1)
+    down_column = np.tril(values, -1).sum(axis=0)
+    return _after(along_row + down_column)
 
 
 def _noise_with(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
