@@ -22,14 +22,18 @@ from pincal.discover.report.found_drawings import stability_drawings
 from pincal.discover.report.found_section import _named
 from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
 from pincal.discover.score_tests import GivenNuisances, ScoreTests, score_test, score_test_given_nuisances
+from pincal.discover.sure_names import _over_these_poses
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import fit_tables, refit
-from pincal.identify.fit import Ending
+from pincal.identify.fit import Ending, ModelFit
 from pincal.identify.mass_error import MassError, variance_of_masses
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
+from pincal.measure.measurements import Measurements
 from pincal.measure.table import measurements_from_arrays
 from pincal.model.catalogue.bearing_features import bearing_features
+from pincal.model.catalogue.elasticity import BaseElasticity
+from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
@@ -110,16 +114,32 @@ def test_what_is_plain_to_see_comes_up_in_every_half(case: Case) -> None:
     assert msgspec.convert(found.report, Findings) == found.findings
 
 
-def test_strong_names_enter_a_half_together() -> None:
-    """Two errors of drives, and one that is expected and absent: names and equivalents are those of a search one by one."""
+def _with_two_drives(*, still: bool) -> tuple[Measurements, ModelFit]:
+    """Return a table of an arm whose second and fourth drive are off, the second perhaps still, and a geometric fit."""
     robot = Robot.from_urdf(kuka_urdf_path())
     rng = np.random.default_rng(0)
     q = robot.random_configurations(200, rng)
+    q[:, 1] *= not still
     bent = q + 1e-3 * np.array([0.0, 1.0, 0.0, 1.0, 0.0, 0.0]) * np.sin([1.0, 1.0, 1.0, 2.0, 1.0, 1.0] * q)
     tips = robot.forward_kinematics(bent)
     position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((200, 3))
     table = measurements_from_arrays(robot.joint_names, q, position=position)
-    fit = fit_tables(robot, table, Options(effects=GEOMETRIC))
+    return table, fit_tables(robot, table, Options(effects=GEOMETRIC))
+
+
+def test_names_that_poses_cannot_show_do_not_enter() -> None:
+    """A curve of a joint that stood still, and what loads do to a rigid arm; others are of the range of the poses."""
+    effects = [TransmissionError(f"joint_{k}", -9.0, 9.0, 12) for k in (2, 4)]
+    moved, stood = (_over_these_poses(_with_two_drives(still=still)[1], effects) for still in (False, True))
+
+    assert [effect.joint for effect in moved] == ["joint_2", "joint_4"] and [effect.joint for effect in stood] == ["joint_4"]
+    assert all(-7.0 < effect.locus.span[0] < effect.locus.span[1] < 7.0 for effect in (*moved, *stood))
+    assert not _over_these_poses(_with_two_drives(still=False)[1], [BaseElasticity()])
+
+
+def test_strong_names_enter_a_half_together() -> None:
+    """Two errors of drives, and one that is expected and absent: names and equivalents are those of a search one by one."""
+    table, fit = _with_two_drives(still=False)
     groups = row_groups(table, split="blocked", seed=0) % 8
 
     one_by_one = discover_effects(fit, groups)

@@ -27,7 +27,12 @@ from pincal.discover.steps import SearchState, SearchStep, elastic_step, listed,
 from pincal.identify.beliefs import priors_of
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.fit import Ending, ModelFit
-from pincal.model.effect import Curve, Effect
+from pincal.model.catalogue.candidates import why_not_testable
+from pincal.model.effect import Candidate, Curve, Effect
+from pincal.thresholds import Scale
+
+# What others leave is taken to be at least this part of all squares: less is rounding.
+_LEAST_LEFT: Scale = 1e-6
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +48,8 @@ def add_sure_names(state: SearchState, search: Search) -> SearchState:
     state = _with_elasticity(state, search)
     fit = state.fit
     expected = _over_these_poses(fit, expected)
+    if len(expected) < 2:
+        return state
     tests = search.tests_of(fit)(expected)
     scores = _sure(tests, search.policy)
     # A single name has no others given which it would be named again.
@@ -72,11 +79,14 @@ def _with_elasticity(state: SearchState, search: Search) -> SearchState:
 
 
 def _over_these_poses(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:
-    """Return effects, of which curves are over the range of the poses of a fit."""
+    """Return the effects that the poses of a fit can show, of which curves are over their range."""
     situation = situation_of(fit)
+    has_loads = has_compliance(fit.problem.effects)
+    some = [effect for effect in effects if has_loads or not effect.is_of_loads]
+    shown = [effect for effect in some if not why_not_testable(Candidate(effect), situation)]
     return [
         effect.resized(situation, effect.resolution) if isinstance(effect, Curve) else effect
-        for effect in effects
+        for effect in shown
     ]
 
 
@@ -130,7 +140,7 @@ def _given_each_other(tests: ScoreTests, which: Sequence[int]) -> dict[int, _Giv
     _, S, b = tests.within(which)
     covariance = np.linalg.inv(S + tests.prior(which))
     x = covariance @ b
-    left = tests.squares - float(b @ x)
+    left = max(tests.squares - float(b @ x), _LEAST_LEFT * tests.squares)
     found = {}
     ends = np.cumsum([len(tests.columns[i]) for i in which])
     for i, end in zip(which, ends.tolist(), strict=True):
