@@ -6,6 +6,7 @@ from typing import Any, Literal, Self
 
 import msgspec
 
+from pincal.errors import counted
 from pincal.model.effect import Effect
 from pincal.notes import Note
 from pincal.validate.misfit import SURE, Verdict
@@ -161,7 +162,8 @@ class Stability(msgspec.Struct, frozen=True, omit_defaults=True):
             >>> Stability(20, 20).words, Stability(0, 20, 15).words
             ('in 20 of 20 subsamples', 'in 0 of 20 subsamples, and in 15 others an alternative')
         """
-        rest = f", and in {self.alternatives} others an alternative" if self.alternatives else ""
+        others = counted(self.alternatives, "other")
+        rest = f", and in {others} an alternative" if self.alternatives else ""
         return f"in {self.named} of {self.of} subsamples{rest}"
 
     def __str__(self) -> str:
