@@ -33,7 +33,7 @@ from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
 from pincal.discover.report.found_figures import effect_figure, shrinking_figure, stability_figure
 from pincal.discover.report.found_words import gain_words
-from pincal.discover.report.search_answer import SearchAnswer, verdict_of_search
+from pincal.discover.report.search_answer import SearchAnswer, _apart, verdict_of_search
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
@@ -373,6 +373,17 @@ def entry_of(effect: str, joint: str, **more: Any) -> FoundEffect:
     """Return an effect as a discovery names it."""
     rest = {"p_value": 1e-9, "gap_before_mm": 0.2, "gap_after_mm": 0.1, "parameters": {}, "equivalent": (), "tell_apart": ""}
     return FoundEffect(effect=effect, joint=joint, **{**rest, **more})
+
+
+def test_one_way_to_distinguish_several_effects_is_said_once() -> None:
+    """Four ripples of a UR5 had the same sentence, which is no next step for any of them."""
+    found = [entry_of("gear_ripple", f"joint_{k}", tell_apart="inspect the joint") for k in (1, 2)]
+    found += [entry_of("backlash", "joint_3", tell_apart="approach from both sides"), entry_of("gear_ratio", "joint_1")]
+
+    assert list(_apart(found)) == [
+        "To distinguish gear_ripple of joint_1; gear_ripple of joint_2 from their alternatives: inspect the joint.",
+        "To distinguish backlash of joint_3 from its alternatives: approach from both sides.",
+    ]
 
 
 @pytest.mark.parametrize(

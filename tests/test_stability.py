@@ -13,6 +13,7 @@ from stability_study import by_class, study
 
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.discover.cli.search_screen import _evidence
 from pincal.discover.discovery_file import EffectName, Findings, Repeated, Stability
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import bootstrap_last, chance_of_best, findings_of
@@ -188,6 +189,22 @@ def test_an_executor_brings_the_same(case: Case, found: Discovery) -> None:
         spread, here = (begin_subsamples(found.trail, regions, 2, executor=e)() for e in (pool, None))
 
     assert spread == here and len(here) == 2
+
+
+def test_halves_that_name_an_alternative_are_counted_as_such(found: Discovery) -> None:
+    """A compliance that halves name as another one is not only "in 0 of 4": page, file and screen count the other one."""
+    here, other, third = (EffectName(effect=f"{kind}_elasticity", joint="joint_2") for kind in ("bearing", "joint", "base"))
+    entry = msgspec.structs.replace(found.findings.effects[0], effect=here.effect, joint=here.joint, equivalent=(other,))
+    halves = Subsamples((((other,),), ((third,),), ((third,), (other,)), ((here, other),)), 60)
+    often = halves.stability(entry)
+    of_entry = msgspec.structs.replace(entry, stability=often)
+    page = "".join(str(block) for block in _named(msgspec.structs.replace(found.findings, effects=(of_entry,))))
+
+    assert often == Stability(1, 4, 2)
+    assert msgspec.to_builtins(often) == {"named": 1, "of": 4, "alternatives": 2}
+    assert "The search names it in 1 of 4 subsamples, and in 2 others an alternative." in page
+    assert _evidence([of_entry]) == [" (in 1 of 4 subsamples, an alternative in 2)"]
+    assert halves.stability(msgspec.structs.replace(entry, equivalent=())) == Stability(1, 4)
 
 
 def test_hints_stand_apart_and_all_are_drawn(found: Discovery) -> None:

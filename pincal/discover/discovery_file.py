@@ -6,6 +6,7 @@ from typing import Any, Literal, Self
 
 import msgspec
 
+from pincal.errors import counted
 from pincal.model.effect import Effect
 from pincal.notes import Note
 from pincal.validate.misfit import SURE, Verdict
@@ -135,24 +136,39 @@ class FoundParameter(msgspec.Struct, frozen=True):
     unit: str
 
 
-class Stability(msgspec.Struct, frozen=True):
+class Stability(msgspec.Struct, frozen=True, omit_defaults=True):
     """How often a search repeated on subsamples of the poses finds the same name.
 
     Attributes:
         named: number of subsamples in which it is found.
         of: number of subsamples.
+        alternatives: number of further subsamples in which what it could also be is found instead.
     """
 
     named: int
     of: int
+    alternatives: int = 0
 
     @property
     def share(self) -> float:
         """Fraction of the subsamples, 0 to 1."""
         return self.named / self.of
 
+    @property
+    def words(self) -> str:
+        """How often, in a sentence.
+
+        Example:
+            >>> Stability(20, 20).words, Stability(0, 20, 15).words
+            ('in 20 of 20 subsamples', 'in 0 of 20 subsamples, and in 15 others an alternative')
+        """
+        others = counted(self.alternatives, "other")
+        rest = f", and in {others} an alternative" if self.alternatives else ""
+        return f"in {self.named} of {self.of} subsamples{rest}"
+
     def __str__(self) -> str:
-        return f"in {self.named} of {self.of}"
+        rest = f" (an alternative in {self.alternatives})" if self.alternatives else ""
+        return f"in {self.named} of {self.of}{rest}"
 
 
 class Repeated(EffectName, frozen=True, kw_only=True, omit_defaults=True):

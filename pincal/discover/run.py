@@ -42,6 +42,7 @@ from pincal.discover.discovery_file import (
     Bootstrap,
     EffectName,
     Findings,
+    FoundEffect,
     Repeated,
     Stability,
     Stage,
@@ -446,6 +447,16 @@ class Subsamples:
         """Return the number of halves in which a name was found, also as an equivalent."""
         return sum(any(name in group for group in groups) for groups in self.named)
 
+    def stability(self, entry: FoundEffect) -> Stability:
+        """Return how often an effect was found, and how often not it but an alternative."""
+        names = {name.in_tables for name in entry.equivalent}
+        own = self.count(entry.in_tables)
+        either = sum(
+            any(names.union([entry.in_tables]).intersection(group) for group in groups)
+            for groups in self.named
+        )
+        return Stability(own, len(self), either - own)
+
     def others(self, known: Sequence[EffectName], share: float) -> list[tuple[EffectName, int]]:
         """Return unknown names that were found, not only as equivalents, in at least a share of the
         halves, with counts.
@@ -558,9 +569,7 @@ def with_subsamples(
     """
     if not halves:
         return changed(findings, bootstrap=bootstrap)
-    every = [
-        (entry, Stability(halves.count(entry.in_tables), len(halves))) for entry in findings.effects
-    ]
+    every = [(entry, halves.stability(entry)) for entry in findings.effects]
     effects = tuple(changed(entry, stability=of) for entry, of in every)
     names = (
         {key: getattr(entry, key) for key in EffectName.__struct_fields__} for entry in effects

@@ -93,12 +93,13 @@ def _evidence(named: Sequence[FoundEffect]) -> list[str]:
     """
     words: list[str] = []
     for entry in named:
-        if entry.stability is None:
+        found = entry.stability
+        if found is None:
             words.append(f" (p {show_chance(entry.p_value)})")
-        elif words:
-            words.append(f" ({entry.stability.named})")
-        else:
-            words.append(f" (in {entry.stability.named} of {entry.stability.of} subsamples)")
+            continue
+        rest = f", an alternative in {found.alternatives}" if found.alternatives else ""
+        whole = f"{found.named}" if words else f"in {found.named} of {found.of} subsamples"
+        words.append(f" ({whole}{rest})")
     return words
 
 

@@ -237,7 +237,7 @@ def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
     )
     shown = merged(lines, "<br>")
     explained = _gain(at, entry, others)
-    often = f" The search names it {entry.stability} subsamples." if entry.stability else ""
+    often = f" The search names it {entry.stability.words}." if entry.stability else ""
     blocks = [
         paragraph(effect_meaning(entry.effect), "mute"),
         paragraph(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from pincal.discover.discovery_file import Findings
+from pincal.discover.discovery_file import Findings, FoundEffect
 from pincal.discover.report.found_words import effect_words
 from pincal.discover.run import Discovery
 from pincal.model.catalogue import untestable
@@ -110,11 +110,20 @@ def _what_is_wrong(found: Findings, beyond: str) -> list[str]:
     return wrong
 
 
+def _apart(effects: Sequence[FoundEffect]) -> Iterator[str]:
+    """Yield each measurement that would distinguish effects from their alternatives, once."""
+    by_way: dict[str, list[str]] = {}
+    for entry in effects:
+        if entry.tell_apart:
+            by_way.setdefault(entry.tell_apart, []).append(effect_words(entry))
+    for way, names in by_way.items():
+        whose = "its" if len(names) == 1 else "their"
+        yield f"To distinguish {'; '.join(names)} from {whose} alternatives: {way}."
+
+
 def _next_steps(discovery: Discovery) -> Iterator[str]:
     found = discovery.findings
-    for entry in found.effects:
-        if entry.tell_apart:
-            yield f"To distinguish {effect_words(entry)} from its alternatives: {entry.tell_apart}."
+    yield from _apart(found.effects)
     for scatter in found.scatter:
         yield f"Record {scatter.missing}: it may explain why {scatter.joint} scatters."
     if found.verdict is not Verdict.ADEQUATE:
