@@ -254,6 +254,7 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     monkeypatch.setattr("pincal.discover.score_tests._MOST_NUMBERS", 30 * 270)
     monkeypatch.setattr("pincal.identify.station._MOST_NUMBERS", 7 * 270)
     monkeypatch.setattr("pincal.discover.score_tests._MOST_COLUMNS", 40)
+    monkeypatch.setattr("pincal.discover.score_tests._FEW_COLUMNS", 40)
     rng = np.random.default_rng(6)
     q = ROBOT.random_configurations(90, rng)
     tips = ROBOT.forward_kinematics(q + 1e-3 * np.sin(q))
