@@ -217,8 +217,13 @@ def test_what_is_printed_of_a_fleet_is_brief_and_ends_in_a_step() -> None:
     assert next_step(found, "store").startswith("Inspect r0; ") and "--machine r0, then" in next_step(found, "store")
     assert dict(robot_lines(watched))["r10"] == "watch: unusual on 2026-01-08 (p 0.001), but no alarm"
     assert next_step(watched, "store") == "Check r10 again soon: pincal fleet add store CHECK.csv --check --machine r10"
-    assert list(robot_lines(calm)) == [("all", "nothing was found on 0 robots")]
-    assert next_step(calm, "store").startswith("Nothing to inspect.")
+    assert list(robot_lines(calm)) == [("all", "no robot has been checked since its calibration")]
+    assert look_first(calm).notes == ("no robot has been checked since its calibration",)
+    assert next_step(calm, "store").startswith("Add the next round of checks: ")
+    assert next_step(calm, "store").endswith(" CHECK.csv --check --machine NAME")
+    one = replace(calm, last=watched.last[:1])
+    assert list(robot_lines(one)) == [("all", "nothing was found on 1 robot")]
+    assert next_step(one, "store").startswith("Nothing to inspect. ")
 
 
 def test_the_latest_round_has_adjusted_p_values(family: Family, of: RobotType) -> None:

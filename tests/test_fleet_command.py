@@ -138,6 +138,10 @@ def test_tables_models_and_diagnoses_go_into_a_store(
             run("fleet", "add", store, folder / table, "--check", "--machine", machine, "--day", "2026-01-12") == Exit.DONE
         )
     assert capsys.readouterr().out.endswith(": 1 check of 2026-01-12\n")
+    assert run("fleet", "check", of, store, "--quiet") == Exit.DONE
+    printed = capsys.readouterr().out
+    assert "no robot has been checked since its calibration" in printed and "Nothing to inspect" not in printed
+    assert "next Calibrate 3 tables of the store: pincal fleet calibrate ROBOT.urdf" in " ".join(printed.split())
     found = pincal.diagnose(load_model(folder / "r2" / "model.json"), rows_of(arm, siblings(6)[1], 14, 13))
     write_json(folder / "diagnosis.json", found.report)
     assert run("fleet", "add", store, folder / "diagnosis.json", "--machine", "r2", "--day", "2026-01-12") == Exit.DONE

@@ -513,7 +513,7 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
     notes = [note] if rows else []
     if len(rows) > most:
         notes.append(f"and {len(rows) - most} more")
-    notes.append(f"nothing was found on {counted(len(found.last) - len(rows), 'other robot')}")
+    notes.append(_on_others(found, len(rows)))
     return Table("Inspect these first", columns, tuple(rows[:most]), tuple(notes))
 
 
@@ -570,8 +570,16 @@ def robot_lines(found: FleetHistory, most: int = _BRIEF) -> Iterator[tuple[str, 
             words = f"drifted with its group; last checked on {last.day}"
         yield last.machine, words
     more = f"{len(ranked) - most} more to look at; " if len(ranked) > most else ""
-    others = counted(len(found.last) - len(ranked), "other robot" if ranked else "robot")
-    yield "others" if ranked else "all", f"{more}nothing was found on {others}"
+    yield "others" if ranked else "all", f"{more}{_on_others(found, len(ranked))}"
+
+
+def _on_others(found: FleetHistory, looked_at: int) -> str:
+    """Return on how many robots nothing was found, other than those to look at."""
+    if not found.last:
+        # A robot that was calibrated since its last check has none that counts.
+        return "no robot has been checked since its calibration"
+    others = counted(len(found.last) - looked_at, "other robot" if looked_at else "robot")
+    return f"nothing was found on {others}"
 
 
 def _change_words(change: FleetChange) -> str:
@@ -589,7 +597,10 @@ def next_step(found: FleetHistory, store: str) -> str:
     add = f"pincal fleet add {store}"
     last, state = next(iter(_ranked(found)), (None, None))
     if last is None:
-        return f"Nothing to inspect. Add the next round of checks: {add} CHECK.csv --check"
+        # Without a name, a table would be a check of a machine called like its file.
+        check = f"{add} CHECK.csv --check --machine NAME"
+        calm = "Nothing to inspect. " if found.last else ""
+        return f"{calm}Add the next round of checks: {check}"
     if state == "changed":
         return (
             f"Inspect {last.machine}; once it is repaired, measure and calibrate it again: {add} "

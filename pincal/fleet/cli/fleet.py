@@ -239,16 +239,19 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     known, strangers = _since_calibration(visits_of(store))
     found = fleet_changes(of, known, alpha=arguments.alpha, every=arguments.every)
     written = _written(arguments, of, found)
+    waiting = len(without_information(store))
     if arguments.general.as_json:
         print_json(summary.plain_history(found))
     else:
-        _print_history(found, arguments)
+        command = f"pincal fleet calibrate ROBOT.urdf {arguments.store} --type {arguments.type}"
+        tables = f"{counted(waiting, 'table')} of the store"
+        # Where nothing is to be inspected, what waits comes first: it may be the latest checks.
+        is_next = waiting > 0 and not (found.open or found.drifted)
+        _print_history(found, arguments, f"Calibrate {tables}: {command}" if is_next else None)
         if strangers:
             click.echo(f"note: ignored: checks of {_some(strangers)}, which have no calibration")
-        if left := len(without_information(store)):
-            calibrate = f"calibrate ROBOT.urdf {arguments.store} --type {arguments.type}"
-            tables = counted(left, "table")
-            click.echo(f"note: {tables} of the store not calibrated yet: pincal fleet {calibrate}")
+        if waiting and not is_next:
+            click.echo(f"note: {tables} not calibrated yet: {command}")
         if written:
             click.echo(f"written to {', '.join(map(str, written))}")
     return Exit.CHANGED if found.open or found.drifted else Exit.DONE
@@ -285,8 +288,12 @@ def _since_calibration(visits: Iterable[Visit]) -> tuple[list[Visit], list[str]]
     return known, sorted({visit.machine for visit in ordered} - begun.keys())
 
 
-def _print_history(found: FleetHistory, arguments: FleetCheckArguments) -> None:
-    """Print what changed in a fleet, which robots to look at first, and what to do next."""
+def _print_history(
+    found: FleetHistory, arguments: FleetCheckArguments, following: str | None
+) -> None:
+    """Print what changed in a fleet, which robots to look at first, and what to do next: what
+    follows from the robots, unless something else is given.
+    """
     from pincal.cli.progress import console
     from pincal.cli.screen import print_lines
     from pincal.fleet import summary
@@ -298,7 +305,7 @@ def _print_history(found: FleetHistory, arguments: FleetCheckArguments) -> None:
         for table in (summary.change_summary(found), summary.look_first(found)):
             if len(table):
                 out.print(table)
-    following = summary.next_step(found, arguments.store)
+    following = following or summary.next_step(found, arguments.store)
     if arguments.verbose:
         print_lines([("next", following)], out)
         return
