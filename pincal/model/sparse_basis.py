@@ -84,7 +84,9 @@ def _without_zeros(basis):
     for p in range(size):
         for i in range(n):
             starts[i + 1] += basis[p, i] != 0.0
-    starts[:] = np.cumsum(starts)
+    # A slice assigned at once takes two seconds to compile.
+    for i in range(n):
+        starts[i + 1] += starts[i]
     place = np.empty(starts[n], np.int64)
     value = np.empty(starts[n])
     end = starts[:n].copy()

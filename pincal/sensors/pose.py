@@ -392,8 +392,12 @@ def turned(turn: np.ndarray, motion: np.ndarray) -> np.ndarray:
             rows[1, 2, i] = factor * y * z - 0.5 * x
             rows[2, 1, i] = factor * y * z + 0.5 * x
         for d in range(n_columns):
-            out[d, :3, first:end] = motion[d, :3, first:end]
-            # Loops over slices are vectorised.
+            # Loops over slices are vectorised; a slice assigned at once takes seconds to compile.
+            for i in range(3):
+                own = motion[d, i, first:end]
+                kept = out[d, i, first:end]
+                for k in range(len(kept)):
+                    kept[k] = own[k]
             u = motion[d, 3, first:end]
             v = motion[d, 4, first:end]
             w = motion[d, 5, first:end]
