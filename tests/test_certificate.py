@@ -460,19 +460,21 @@ def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
 
 
 def test_source_of_lengths_sockets_are_of_no_instrument(known: FittedRobot, of_model: Certificate) -> None:
-    """The sheet names the given distance, or that there was none; of sockets that were measured, an instrument's."""
+    """The sheet names the distance of its sockets, or that none was given; of measured sockets it names an instrument."""
 
     def lengths(**setup: Any) -> str:
         return source_of_lengths(known.with_station(replace(known.station, sensor_kind="socket", setup=Setup(**setup))))
 
     unknown = {"a": None, "b": None}
-    given = lengths(points=unknown, distances=(KnownDistance("a", "b", 0.05),))
+    given = lengths(points=unknown, distances=(KnownDistance("a", "b", 0.05), KnownDistance("x", "y", 0.3)))
     words = replace(of_model, lengths=given).traceability
 
     assert given == "the distances between sockets as given: a to b 50.000 ± 0.010 mm"
     assert (
         words.startswith("No instrument measured the robot. Its lengths are those of the distances") and "7512" not in words
     )
+    assert "an error of these lengths" in words and "instrument's" not in words
+    assert "an error of the instrument's scale" in of_model.traceability
     assert lengths(points=unknown) == "its description: no distance between sockets was given"
     assert lengths(points={"a": (0.0, 0.0, 0.0), "b": None}) == source_of_lengths(known) == ""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -11,6 +12,7 @@ from fleet_cases import PRIOR, Family, Year
 
 from pincal import BadInputError
 from pincal.fleet.checks import FleetWatch, _Step, fleet_changes
+from pincal.fleet.cli.fleet import print_history
 from pincal.fleet.history import DIAGNOSED, FleetChange, FleetHistory, LastCheck, Visit, benjamini_hochberg, e_value
 from pincal.fleet.robot_type import RobotType, learn_type
 from pincal.fleet.summary import look_first, next_step, robot_lines
@@ -224,6 +226,33 @@ def test_what_is_printed_of_a_fleet_is_brief_and_ends_in_a_step() -> None:
     one = replace(calm, last=watched.last[:1])
     assert list(robot_lines(one)) == [("all", "nothing was found on 1 robot")]
     assert next_step(one, "store").startswith("Nothing to inspect. ")
+
+
+@pytest.mark.parametrize("groups", [0, 1, 2, 5])
+@pytest.mark.parametrize("robots", [0, 1, 9])
+@pytest.mark.parametrize("ending", [0, 3])
+def test_a_fleet_is_printed_within_fourteen_lines(
+    groups: int, robots: int, ending: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """However many groups drift and robots change, with long names; those that are not listed are counted, and none is 0."""
+    day, what = "2026-01-08", ("joint_3.theta", ("joint_4.s_y", "joint_4.harmonic_2_cos", "joint_2"))
+    at = (day, "2026-01-01")
+    hall = "supplier=Northern Gears "
+    drifts = [FleetChange(f"{hall}{k}", True, *at, *what, 4e-4, 1e-5, "rad", 50.0 + k) for k in range(groups)]
+    names = [f"welding-cell-0{k}" for k in range(robots)]
+    changes = [FleetChange(name, False, *at, *what, 4e-4, 1e-5, "rad", 99.0) for name in names]
+    last = tuple(LastCheck(name, day, 1e-12, 1e-12, 99.0) for name in names)
+    found = FleetHistory((*drifts, *changes), last, len(last), len(last), frozenset(names), frozenset())
+    following = next_step(found, "s3://factory/welding/north/fleet-store")
+    print_history(found, following, ["note: more"] * ending, page=Path("p.html"))
+    lines = capsys.readouterr().out.splitlines()
+
+    assert len(lines) <= 14 and max(map(len, lines)) <= 100
+    assert sum(line.startswith(hall) for line in lines) >= min(groups, 1)
+    assert sum(line.startswith("welding") for line in lines) >= min(robots, 1)
+    assert "other robots" not in " ".join(lines)
+    assert any("3 more drifted" in line or "4 more drifted" in line for line in lines) == (groups == 5)
+    assert any(line.startswith("next ") for line in lines) and lines[len(lines) - ending :] == ["note: more"] * ending
 
 
 def test_the_latest_round_has_adjusted_p_values(family: Family, of: RobotType) -> None:

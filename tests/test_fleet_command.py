@@ -134,10 +134,11 @@ def test_tables_models_and_diagnoses_go_into_a_store(
     for machine, table in (("r0", "bent.csv"), ("r1", "r1.csv"), ("r9", "r1.csv")):
         if machine == "r1":
             write(folder / table, rows_of(arm, siblings(6)[1], 14, 13))
-        assert (
-            run("fleet", "add", store, folder / table, "--check", "--machine", machine, "--day", "2026-01-12") == Exit.DONE
-        )
+        added = run("fleet", "add", store, folder / table, "--check", "--machine", machine, "--day", "2026-01-12")
+        assert added == (Exit.BAD_INPUT if machine == "r9" else Exit.DONE)
     assert capsys.readouterr().out.endswith(": 1 check of 2026-01-12\n")
+    # A program may add checks before calibrations.
+    open_store(store).add_table("r9", "2026-01-12", pincal.read_measurements(folder / "r1.csv", arm), role="check")
     assert run("fleet", "check", of, store, "--quiet") == Exit.DONE
     printed = capsys.readouterr().out
     assert "no robot has been checked since its calibration" in printed and "Nothing to inspect" not in printed
@@ -185,6 +186,24 @@ def test_what_is_none_is_refused(folder: Path, of: Path, capsys: pytest.CaptureF
         assert run(*words) == Exit.BAD_INPUT, words
         assert reason in capsys.readouterr().err, words
     assert [path.name for path in tmp_path.iterdir()] == ["odd.json"]
+
+
+def test_a_check_that_could_not_count_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a machine that nothing calibrates by that day: a misspelt name, that of the file, a day too early, no store yet."""
+    store, check = tmp_path / "store", (folder / "few.csv", "--check", "--robot", folder / "robot.urdf")
+    assert run("fleet", "add", store, *check) == Exit.BAD_INPUT
+    assert "few has no calibration in" in capsys.readouterr().err and not store.exists()
+    assert run("fleet", "add", store, *folder.glob("r?/model.json"), "--day", "2026-01-05") == Exit.DONE
+    assert run("fleet", "add", store, folder / "few.csv", "--machine", "R17", "--day", "2026-01-05") == Exit.DONE
+    for machine, day, reason in (
+        ("few", "2026-01-12", "MODEL.json --machine few"),
+        ("r33", "2026-01-12", "nearest first: r3, "),
+        ("r3", "2026-01-04", "was first calibrated on 2026-01-05"),
+    ):
+        assert run("fleet", "add", store, *check, "--machine", machine, "--day", day) == Exit.BAD_INPUT
+        assert reason in capsys.readouterr().err
+    for machine in ("r3", "R17"):
+        assert run("fleet", "add", store, *check, "--machine", machine, "--day", "2026-01-05") == Exit.DONE
 
 
 def test_a_model_keeps_what_its_rows_say(arm: Robot, folder: Path) -> None:

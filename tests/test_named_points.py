@@ -409,13 +409,16 @@ def test_cross_validation_leaves_out_what_one_fold_alone_has_seen(machine: sim.T
 
 @pytest.mark.long
 def test_distances_to_unknown_points_are_refused(machine: sim.TrueMachine, kuka: Robot) -> None:
-    """A misspelt socket is named, with what it may have been; a distance to itself or of nothing is none."""
+    """A misspelt socket is named, with what it may have been; a distance to itself, of nothing or of no row is none."""
     table = contacts(machine, kuka, each=12)
     with pytest.raises(MeasurementError, match="a known distance names 'A'; expected one of the points, nearest first: a"):
         run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=Setup(distances=(KnownDistance("A", "b", 0.7),))))
     elsewhere = Setup(distances=(KnownDistance("a", "b", 0.7), KnownDistance("x", "y", 0.05)))
     notes = run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=elsewhere)).notes
     assert any("without any row are not used: x to y" in note.text for note in notes)
+    useless = Setup(distances=(KnownDistance("x", "y", 0.05),))
+    with pytest.raises(MeasurementError, match="distance x to y: not between points of the table, which has a, b"):
+        run_calibration(kuka, table, Options(effects=GEOMETRIC, setup=useless))
     for bad in (
         lambda: KnownDistance("a", "a", 1.0),
         lambda: KnownDistance("a", "b", 0.0),

@@ -21,7 +21,7 @@ import numpy as np
 
 from pincal.calibration.calibration_numbers import COVERAGE
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.improvement import unplaced
+from pincal.calibration.located_arm import LocatedArm
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.identify.station import Station
@@ -67,6 +67,7 @@ def elsewhere_of(robot: FittedRobot, task: Measurements | None = None) -> Elsewh
     if at is None:
         return None
     model = robot.at(at.name)
+    located = None
     if task is None:
         conditions = random_conditions(at)
     else:
@@ -77,7 +78,9 @@ def elsewhere_of(robot: FittedRobot, task: Measurements | None = None) -> Elsewh
         conditions = _recorded_as(
             at.conditions, model.conditions(named), np.random.default_rng(_SEED)
         )
-    covariances = np.asarray(sum(position_covariances(model, conditions).values()))
+        # The few poses of a task would themselves be met by the placement, wherever they are.
+        located = LocatedArm.where_measured(model, conditions)
+    covariances = np.asarray(sum(position_covariances(model, conditions, located).values()))
     expected = 1e3 * expected_lengths(covariances)
     measured = np.vstack(
         [one.conditions.q for one in fit.problem.stations if one.sensor.reads_place]
@@ -134,24 +137,24 @@ def _recorded_as(
     return replace(conditions, **columns)
 
 
-def position_covariances(model: FittedRobot, conditions: Conditions) -> dict[str, np.ndarray]:
+def position_covariances(
+    model: FittedRobot, conditions: Conditions, located: LocatedArm | None = None
+) -> dict[str, np.ndarray]:
     """Return the covariances of predicted positions by their sources, shape (N, 3, 3) each [m^2].
 
     Where readings tell where the base stands, these are of positions in the instrument's frame.
-    Other readings leave that frame open; these are then the covariances that remain with instrument
-    and target placed as well as possible at these poses.
+    Other readings leave that frame open; these are then the covariances that remain once base and
+    target are located.
+
+    Args:
+        model: a fitted robot.
+        conditions: N poses.
+        located: the robot with base and target located; default: at these poses.
     """
-    found = {
-        name: errors.blocks for name, errors in model.covariance_of(conditions).sources.items()
-    }
-    if model.station.is_placed:
-        return found
-    n = model.model.n_parameters
-    poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
-    along = unplaced(J[:, :3], poses)
-    C = model.covariance[:n, :n]
-    relative = np.einsum("nip,pq,njq->nij", along, C, along, optimize=True)
-    return found | {"parameters": np.asarray(relative)}
+    if not model.station.is_placed:
+        located = located or LocatedArm.at(model, conditions)
+        return located.position_covariances(conditions)
+    return {name: errors.blocks for name, errors in model.covariance_of(conditions).sources.items()}
 
 
 class _Range(NamedTuple):

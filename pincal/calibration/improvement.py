@@ -210,15 +210,21 @@ def unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
     """Return derivatives of positions, shape (N, 3, P), with the placement of instrument and target
     projected out.
     """
-    n = len(J)
-    parts = np.zeros((len(J), 3, 9))
+    B = np.linalg.qr(placement_motions(tips).reshape(3 * len(J), 9))[0]
+    flat = J.reshape(3 * len(J), -1)
+    return np.asarray((flat - B @ (B.T @ flat)).reshape(J.shape))
+
+
+def placement_motions(tips: np.ndarray) -> np.ndarray:
+    """Return the derivatives of positions by the placement of instrument (three lengths, three
+    angles) and target (three lengths), shape (N, 3, 9).
+    """
+    parts = np.zeros((len(tips), 3, 9))
     parts[:, :, :3] = np.eye(3)
     parts[:, :, 6:] = tips[:, :, :3]
     for k, axis in enumerate(np.eye(3)):
         parts[:, :, 3 + k] = np.cross(axis, tips[:, :, 3])
-    B = np.linalg.qr(parts.reshape(3 * n, 9))[0]
-    flat = J.reshape(3 * n, -1)
-    return np.asarray((flat - B @ (B.T @ flat)).reshape(J.shape))
+    return parts
 
 
 def _regions(p: np.ndarray, seen: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:

@@ -206,12 +206,14 @@ class Certificate:
             f"Lengths and angles are those of the instrument: {instrument}; its calibration "
             f"certificate: {certificate}."
         )
+        scale = "the instrument's scale is included only where the budget lists it"
         if self.lengths:
             source = f"No instrument measured the robot. Its lengths are those of {self.lengths}."
+            scale = "these lengths is included only as far as their uncertainty is stated"
         return (
             f"{source} These entries are as the user stated them and were not "
             "verified. The software is no link of a chain of calibrations and is not accredited; "
-            "an error of the instrument's scale is included only where the budget lists it."
+            f"an error of {scale}."
         )
 
     @property

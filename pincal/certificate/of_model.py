@@ -373,7 +373,8 @@ def source_of_lengths(fitted: FittedRobot) -> str:
     is_measured = any(place is not None for setup in setups for place in setup.points.values())
     if len(setups) < len(fitted.stations) or is_measured:
         return ""
-    given = dict.fromkeys(distance for setup in setups for distance in setup.distances)
+    # A distance between sockets in which the arm was not held tells nothing of it.
+    given = dict.fromkeys(distance for setup in setups for distance in setup.named().distances)
     if not given:
         return "its description: no distance between sockets was given"
     listed = ", ".join(

@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 _SHOWN: Count = 5
 _CONDITIONS = [name for name, variable in RECORDABLE.items() if not variable.of_joints]
 
+_OPEN_BASE = (
+    "the readings of the calibration do not tell where the base stands, which the standard "
+    "deviations of positions include; ten rows of an instrument tell it (--placement)"
+)
 _PREDICT_EXAMPLES = """
 Examples:
   pincal predict results/model.json poses.csv --out predicted.csv
@@ -65,9 +69,10 @@ starts from --seed-joints (default: the middle of the joint ranges, and any orie
 no quaternion).
 
 FILE.csv has the joint positions to command, the desired pose, the remaining error predicted by the
-model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
-change of a joint from its start (change_max, rad or m; if any is more than --max-change, the column
-large_change is 1 in these rows: check them before the robot moves) and a status:
+model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm; where contacts,
+distances or an IMU alone leave open where the base stands: once base and target are located), the
+largest change of a joint from its start (change_max, rad or m; if any is more than --max-change,
+the column large_change is 1 in these rows: check them before the robot moves) and a status:
 
 \b
   ok           reached
@@ -159,7 +164,8 @@ def predict(arguments: PredictArguments) -> Exit:
     else:
         _echo_machine(calibrated)
         click.echo(f"{counted(len(table), 'pose')} predicted, written to {arguments.out}")
-    echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
+    notes = [*place.notes, *notes, *([] if calibrated.station.is_placed else [_OPEN_BASE])]
+    echo_notes(notes, quiet=arguments.general.quiet)
     return Exit.DONE
 
 
@@ -277,6 +283,7 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
     result = _result(robot, done, beyond, max_change=arguments.max_change)
     result |= place.contents | {"out": str(arguments.out)}
+    result["is_placed"] = calibrated.station.is_placed
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
     end_progress()
     if arguments.general.as_json:
@@ -491,10 +498,12 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
     ]
     if "seeds" in result["error"]:
         yield f"  joints as given    miss the targets by {_sizes(result['error']['seeds'])}"
-    yield (
-        f"  joints to command  meet them with an uncertainty of {result['sigma_mm']:.4f} mm rms in "
-        f"{frame}"
-    )
+    known = f"meet them with an uncertainty of {result['sigma_mm']:.4f} mm rms"
+    if result["is_placed"]:
+        yield f"  joints to command  {known} in {frame}"
+    else:
+        yield f"  joints to command  {known} once base and target"
+        yield "                     are located: the readings do not tell where the base stands"
     yield from _not_ok_lines(result["not_ok"])
     if result["change"]:
         change = result["change"]

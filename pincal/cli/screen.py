@@ -4,12 +4,12 @@ terminal, plain elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from msgspec import UNSET
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from pincal.calibration import result_tables
 from pincal.calibration.precheck import DataReport
@@ -162,10 +162,22 @@ def print_lines(
     """
     lines = tuple(lines)
     width = max((len(heading) for heading, _ in lines), default=0)
-    for heading, text in lines:
-        out.print(hanging(f"{heading:{width}s}", text), markup=False)
+    for paragraph in _paragraphs(lines):
+        out.print(paragraph, markup=False)
     if following is not None:
         out.print(f"{'next':{width}s} {one_line(following)}", markup=False, soft_wrap=True)
+
+
+def height_of(lines: Iterable[tuple[str, str]], out: Console) -> int:
+    """Return how many lines of a terminal :func:`print_lines` takes."""
+    return sum(len(out.render_lines(paragraph)) for paragraph in _paragraphs(tuple(lines)))
+
+
+def _paragraphs(lines: Sequence[tuple[str, str]]) -> Iterator[RenderableType]:
+    """Yield lines behind their headings."""
+    width = max((len(heading) for heading, _ in lines), default=0)
+    for heading, text in lines:
+        yield hanging(f"{heading:{width}s}", text)
 
 
 def print_result(result: Result, out: Console) -> None:

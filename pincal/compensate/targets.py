@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.located_arm import LocatedArm
 from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.compensate.compensation import (
     Compensation,
@@ -71,7 +72,8 @@ class CompensatedTable:
         found: the result of each row.
         orientation: "keep" if an orientation is wanted, "free" if any is allowed.
         sigma: shape (N,), standard deviation of the predicted position, root sum of squares of
-            three coordinates [m], by the uncertainty of the calibration.
+            three coordinates [m], by the uncertainty of the calibration; once base and target are
+            located, where its readings leave open where the base stands.
         robot: the arm.
     """
 
@@ -172,9 +174,18 @@ def run_compensation(
             calibrated, wanted, seeds, frame=frame, orientation=orientation, limits=limits
         )
     commanded = replace(seeds, q=robot.from_reported(found.q))
-    predictor = in_base_frame(calibrated) if frame == "base" else calibrated
-    sigma = np.linalg.norm(predictor.position_sigma(commanded), axis=1)
+    sigma = np.linalg.norm(_position_sigma(calibrated, commanded, frame), axis=1)
     return CompensatedTable(targets, seeds, commanded, found, orientation, sigma, robot)
+
+
+def _position_sigma(
+    calibrated: FittedRobot, conditions: Conditions, frame: PoseFrame
+) -> np.ndarray:
+    """Return the standard uncertainty of positions, shape (N, 3) [m]."""
+    if not calibrated.station.is_placed:
+        return LocatedArm.where_measured(calibrated, conditions).position_sigma(conditions)
+    predictor = in_base_frame(calibrated) if frame == "base" else calibrated
+    return predictor.position_sigma(conditions)
 
 
 def unreached_turns(calibrated: FittedRobot, done: CompensatedTable) -> str:

@@ -201,16 +201,16 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
         alpha: fraction of the alarms that may be false.
         version: version of pincal.
     """
-    lines = list(summary.history_lines(found))
     counts = {"to inspect": len(found.open), "drifted": len(found.drifted)}
     words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     answer = rich(
         '<p class="headline"><span class="tag {}">{}</span> {}</p>',
         "bad" if words else "good",
         words or "nothing to inspect",
-        lines[0],
+        summary.history_line(found),
     )
-    blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
+    drifts = summary.group_lines(found)
+    blocks = [answer, *(paragraph(f"{group}: {words}", "care") for group, words in drifts)]
     listed = summary.look_first(found)
     first: tuple[PageBlock, ...] = (
         *blocks,

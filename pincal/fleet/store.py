@@ -422,6 +422,23 @@ class Store:
                 found = one if found is None else max(found, one)
         return None if found is None else found[-1]
 
+    def first_calibration(self, machine: str) -> str | None:
+        """Return the day of the first rows or model by which a machine is calibrated, ISO date;
+        None if there are none.
+
+        Raises:
+            BadInputError: if a file is damaged.
+        """
+        at = f"machine={quote(machine, safe='')}/day=*/*.parquet"
+        days = [key.day for key in self._found(f"{MODELS}/{at}")]
+        days += [
+            key.day
+            for kind in (TABLES, INFORMATION)
+            for key in self._found(f"{kind}/{at}")
+            if self.frame(key)["role"][0] == CALIBRATION
+        ]
+        return min(days, default=None)
+
     def add_text(self, kind: str, machine: str, day: str, content: str, **facts: Any) -> Key:
         """Add the text of a diagnosis.json, with further columns."""
         return self._added(kind, machine, day, text_frame(content, **facts))

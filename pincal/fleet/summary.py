@@ -49,9 +49,10 @@ _NUMBERS: tuple[Count, ...] = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
 _SETS: Count = 8
 # 95 % of a normal distribution lie within this number of standard deviations.
 _INTERVAL: Scale = 1.96
-# Number of robots listed, in tables and in brief.
+# Number of robots listed, in tables and in brief, and of groups in brief.
 _FIRST: Count = 10
-_BRIEF: Count = 4
+BRIEF: Count = 4
+_GROUPS: Count = 2
 # Power of ten of odds beyond which their size means nothing more.
 _BEYOND_DOUBT: Scale = 10.0
 # Number of parameters named in which the data sheet is wrong.
@@ -513,13 +514,13 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
     notes = [note] if rows else []
     if len(rows) > most:
         notes.append(f"and {len(rows) - most} more")
-    notes.append(_on_others(found, len(rows)))
+    notes += _on_others(found, len(rows))
     return Table("Inspect these first", columns, tuple(rows[:most]), tuple(notes))
 
 
 def _first_rows(found: FleetHistory) -> list[tuple[Cell, ...]]:
     """Return the row of each robot that is to be looked at, in this order."""
-    what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
+    what = {one.subject: _by_what(one, one.what) for one in found.changes}
     return [
         (
             one.machine,
@@ -544,18 +545,31 @@ def _ranked(found: FleetHistory) -> list[tuple[LastCheck, _State]]:
     return sorted(listed, key=lambda one: (order.index(one[1]), -one[0].log_e))
 
 
-def history_lines(found: FleetHistory) -> Iterator[str]:
-    """Yield a summary of a fleet's history, line by line."""
-    groups = [change for change in found.changes if change.is_group]
-    robots = len(found.changes) - len(groups)
+def history_line(found: FleetHistory) -> str:
+    """Return a summary of a fleet's history in one line."""
+    robots = sum(not change.is_group for change in found.changes)
     whole = f"{counted(found.robots, 'robot')}, {counted(found.checks, 'check')}"
-    yield f"{whole}: {robots} changed, {len(found.open)} of them not recalibrated since"
-    for change in groups:
-        line = f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}"
-        yield line.removesuffix(" -")
+    return f"{whole}: {robots} changed, {len(found.open)} of them not recalibrated since"
 
 
-def robot_lines(found: FleetHistory, most: int = _BRIEF) -> Iterator[tuple[str, str]]:
+def brief_lines(found: FleetHistory, most: int = BRIEF) -> list[tuple[str, str]]:
+    """Return groups that drifted, and robots to look at, each behind its name."""
+    return [*group_lines(found, min(most, _GROUPS)), *robot_lines(found, most)]
+
+
+def group_lines(found: FleetHistory, most: int | None = None) -> Iterator[tuple[str, str]]:
+    """Yield each group that drifted, the last found first, and what was found on it; then how many
+    other groups there are.
+    """
+    groups = [change for change in found.changes if change.is_group]
+    latest = sorted(groups, key=lambda one: (one.found, one.log_e), reverse=True)
+    for change in latest[:most]:
+        yield change.subject, f"drift since {change.since}: {_by_what(change, change.what)}"
+    if more := len(groups[most:]) if most is not None else 0:
+        yield "groups", f"{more} more drifted"
+
+
+def robot_lines(found: FleetHistory, most: int = BRIEF) -> Iterator[tuple[str, str]]:
     """Yield each robot to look at, those first that changed and were not recalibrated, and what was
     found on it; then how many others there are.
     """
@@ -569,17 +583,18 @@ def robot_lines(found: FleetHistory, most: int = _BRIEF) -> Iterator[tuple[str, 
         else:
             words = f"drifted with its group; last checked on {last.day}"
         yield last.machine, words
-    more = f"{len(ranked) - most} more to look at; " if len(ranked) > most else ""
-    yield "others" if ranked else "all", f"{more}{_on_others(found, len(ranked))}"
+    more = [f"{len(ranked) - most} more to look at"] if len(ranked) > most else []
+    if words := "; ".join([*more, *_on_others(found, len(ranked))]):
+        yield "others" if ranked else "all", words
 
 
-def _on_others(found: FleetHistory, looked_at: int) -> str:
-    """Return on how many robots nothing was found, other than those to look at."""
+def _on_others(found: FleetHistory, looked_at: int) -> Iterator[str]:
+    """Yield on how many robots nothing was found, other than those to look at, if there are any."""
     if not found.last:
         # A robot that was calibrated since its last check has none that counts.
-        return "no robot has been checked since its calibration"
-    others = counted(len(found.last) - looked_at, "other robot" if looked_at else "robot")
-    return f"nothing was found on {others}"
+        yield "no robot has been checked since its calibration"
+    elif others := len(found.last) - looked_at:
+        yield f"nothing was found on {counted(others, 'other robot' if looked_at else 'robot')}"
 
 
 def _change_words(change: FleetChange) -> str:
@@ -588,8 +603,9 @@ def _change_words(change: FleetChange) -> str:
     if change.found != change.since:
         since += f" (found {change.found})"
     what = " or ".join((change.what, *change.equals[:2]))
-    by = f"{what} {_by(change)}".removesuffix(" -")
-    return f"changed {since}: {by}; odds {odds_words(change.log_e / np.log(10.0))}"
+    return (
+        f"changed {since}: {_by_what(change, what)}; odds {odds_words(change.log_e / np.log(10.0))}"
+    )
 
 
 def next_step(found: FleetHistory, store: str) -> str:
@@ -622,6 +638,11 @@ def plain_history(found: FleetHistory) -> dict[str, Any]:
         "changes": [one | {"equals": list(one["equals"])} for one in changes],
         "last": last,
     }
+
+
+def _by_what(change: FleetChange, what: str) -> str:
+    """Return what has changed, and by how much where that is known."""
+    return f"{what} {_by(change)}".removesuffix(" -")
 
 
 def _by(change: FleetChange) -> str:

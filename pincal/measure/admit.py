@@ -72,10 +72,13 @@ def admit(
     tables = {name: table.in_order_of(robot) for name, table in tables.items()}
     setups = {name: setup_of(name) for name in tables}
     idle: list[str] = []
+    given = 0
     for setup in {id(setup): setup for setup in setups.values()}.values():
-        idle += _check_distances(
-            setup, [*(tables[name] for name in tables if setups[name] is setup), *holdout]
-        )
+        own = [tables[name] for name in tables if setups[name] is setup]
+        idle += _check_distances(setup, [*own, *holdout])
+        given += len(setup.distances)
+    if idle and len(idle) == given:
+        raise MeasurementError(_unused(idle, [*tables.values(), *holdout]))
     found = {}
     with noted() as notes:
         for name, setup in setups.items():
@@ -91,7 +94,7 @@ def admit(
                 _check_count(table, setup, joints=robot.n_joints, purpose=purpose, better=50)
             check_table(robot, table)
             found[name] = table
-    return Admitted(found, tuple(notes), tuple(dict.fromkeys(idle)))
+    return Admitted(found, tuple(notes), _idle_note(idle))
 
 
 def refuse_name(robot: Any) -> None:
@@ -206,12 +209,9 @@ def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str,
     """Refuse a known distance between a point of the tables and an unknown one.
 
     Returns:
-        A note on distances between points in none of the tables: they may belong to another one.
+        The distances between points in none of the tables: they may belong to another one.
     """
-    found = [table.point_names for table in tables]
-    known = {str(name) for names in found if names is not None for name in np.unique(names)} | set(
-        setup.points
-    )
+    known = _points_of(tables) | set(setup.points)
     idle = []
     for gap in setup.distances:
         unknown = [name for name in (gap.first, gap.second) if name not in known]
@@ -222,11 +222,29 @@ def _check_distances(setup: Setup, tables: Sequence[Measurements]) -> tuple[str,
                 f"nearest first: {near}"
             )
         idle += [f"{gap.first} to {gap.second}"] if unknown else []
+    return tuple(idle)
+
+
+def _points_of(tables: Sequence[Measurements]) -> set[str]:
+    """Return the names of the points of tables."""
+    found = [table.point_names for table in tables]
+    return {str(name) for names in found if names is not None for name in np.unique(names)}
+
+
+def _unused(idle: Sequence[str], tables: Sequence[Measurements]) -> str:
+    """Return why known distances are refused, none of which is between points of the tables."""
     return (
-        (f"known distances between points without any row are not used: {', '.join(idle)}",)
-        if idle
-        else ()
+        f"known distance {few(idle, _LISTED)}: not between points of the table, which has "
+        f"{few(sorted(_points_of(tables)), _LISTED)}; expected two of these, or no distance"
     )
+
+
+def _idle_note(idle: Sequence[str]) -> tuple[str, ...]:
+    """Return the note on known distances that no row involves, if there are any."""
+    if not idle:
+        return ()
+    listed = ", ".join(dict.fromkeys(idle))
+    return (f"known distances between points without any row are not used: {listed}",)
 
 
 def check_placeable(measurements: Measurements, setup: Setup) -> None:

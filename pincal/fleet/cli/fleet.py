@@ -28,14 +28,17 @@ from pincal.fleet.cli.fleet_store import (
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.fleet.history import FleetHistory, Visit
     from pincal.fleet.machines import Machine
     from pincal.fleet.robot_type import Learned, RobotType
     from pincal.fleet.summary import AtTool
 
-# Number of parameters that are listed.
+# Number of parameters that are listed, and lines of what is said in brief.
 _PARAMETERS: Count = 8
+_LINES: Count = 14
 _LEARN_EXAMPLES = """
 Examples:
   pincal fleet learn r1/model.json r2/model.json r3/model.json --out type.json --report type.html
@@ -243,18 +246,43 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     if arguments.general.as_json:
         print_json(summary.plain_history(found))
     else:
-        command = f"pincal fleet calibrate ROBOT.urdf {arguments.store} --type {arguments.type}"
-        tables = f"{counted(waiting, 'table')} of the store"
-        # Where nothing is to be inspected, what waits comes first: it may be the latest checks.
-        is_next = waiting > 0 and not (found.open or found.drifted)
-        _print_history(found, arguments, f"Calibrate {tables}: {command}" if is_next else None)
-        if strangers:
-            click.echo(f"note: ignored: checks of {_some(strangers)}, which have no calibration")
-        if waiting and not is_next:
-            click.echo(f"note: {tables} not calibrated yet: {command}")
-        if written:
-            click.echo(f"written to {', '.join(map(str, written))}")
+        following, notes = _after(arguments, found, strangers, waiting)
+        ending = [f"written to {', '.join(map(str, written))}"] if written else []
+        print_history(
+            found,
+            following,
+            [*notes, *ending],
+            page=arguments.report,
+            is_verbose=arguments.verbose,
+        )
     return Exit.CHANGED if found.open or found.drifted else Exit.DONE
+
+
+def _after(
+    arguments: FleetCheckArguments, found: FleetHistory, strangers: Sequence[str], waiting: int
+) -> tuple[str, list[str]]:
+    """Return what to do next, and notes on what did not count.
+
+    Args:
+        arguments: of the command.
+        found: the fleet's history.
+        strangers: machines that were checked and never calibrated.
+        waiting: number of tables that are not calibrated yet.
+    """
+    from pincal.fleet import summary
+
+    command = f"pincal fleet calibrate ROBOT.urdf {arguments.store} --type {arguments.type}"
+    tables = f"{counted(waiting, 'table')} of the store"
+    following = summary.next_step(found, arguments.store)
+    notes = list[str]()
+    if strangers:
+        notes.append(f"note: ignored: checks of {_some(strangers)}, which have no calibration")
+    if waiting and (found.open or found.drifted):
+        notes.append(f"note: {tables} not calibrated yet: {command}")
+    elif waiting:
+        # Where nothing is to be inspected, what waits comes first: it may be the latest checks.
+        following = f"Calibrate {tables}: {command}"
+    return following, notes
 
 
 def _written(arguments: FleetCheckArguments, of: RobotType, found: FleetHistory) -> list[Path]:
@@ -288,30 +316,58 @@ def _since_calibration(visits: Iterable[Visit]) -> tuple[list[Visit], list[str]]
     return known, sorted({visit.machine for visit in ordered} - begun.keys())
 
 
-def _print_history(
-    found: FleetHistory, arguments: FleetCheckArguments, following: str | None
+def print_history(
+    found: FleetHistory,
+    following: str,
+    last: Sequence[str],
+    *,
+    page: Path | None = None,
+    is_verbose: bool = False,
 ) -> None:
-    """Print what changed in a fleet, which robots to look at first, and what to do next: what
-    follows from the robots, unless something else is given.
+    """Print what changed in a fleet and which robots to look at first, in brief within 14 lines.
+
+    Args:
+        found: the fleet's history.
+        following: what to do next.
+        last: the last lines.
+        page: the page that was written.
+        is_verbose: whether to print all tables.
     """
     from pincal.cli.progress import console
     from pincal.cli.screen import print_lines
     from pincal.fleet import summary
 
     out = console()
-    for line in summary.history_lines(found):
-        click.echo(line)
-    if arguments.verbose:
+    click.echo(summary.history_line(found))
+    if is_verbose:
+        print_lines(summary.group_lines(found), out)
         for table in (summary.change_summary(found), summary.look_first(found)):
             if len(table):
                 out.print(table)
-    following = following or summary.next_step(found, arguments.store)
-    if arguments.verbose:
         print_lines([("next", following)], out)
-        return
-    page = "" if arguments.report is None else f", or {arguments.report}"
-    more = [("more", f"all tables: --verbose{page}")] if found.changes else []
-    print_lines([*summary.robot_lines(found), ("next", following), *more], out)
+    else:
+        more = f"all tables: --verbose{'' if page is None else f', or {page}'}"
+        ending = [("next", following), *([("more", more)] if found.changes else [])]
+        print_lines(_brief_lines(found, ending, out, most=_LINES - 1 - len(last)), out)
+    for line in last:
+        click.echo(line)
+
+
+def _brief_lines(
+    found: FleetHistory, ending: Sequence[tuple[str, str]], out: Console, *, most: int
+) -> list[tuple[str, str]]:
+    """Return as many groups and robots to look at as fit into some lines before an ending, at
+    least one of each.
+    """
+    from pincal.cli.screen import height_of
+    from pincal.fleet import summary
+
+    lines = list[tuple[str, str]]()
+    for listed in range(summary.BRIEF, 0, -1):
+        lines = [*summary.brief_lines(found, listed), *ending]
+        if height_of(lines, out) <= most:
+            break
+    return lines
 
 
 def _some(names: Sequence[str]) -> str:

@@ -26,7 +26,7 @@ from pincal.cli.common import (
 from pincal.cli.fitting import workers
 from pincal.cli.outputs import echo_notes, print_json
 from pincal.cli.quantities import ANGLE, LENGTH
-from pincal.errors import BadInputError, Exit, counted
+from pincal.errors import BadInputError, Exit, counted, few, nearest_first
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:
@@ -36,8 +36,9 @@ if TYPE_CHECKING:
     from pincal.identity import Identity
     from pincal.robot.robot import Robot
 
-# Number of failures that are listed.
+# Number of failures, and of names of machines, that are listed.
 _FAILURES: Count = 5
+_NEAREST: Count = 4
 # Number of tables from which on starting processes, which takes seconds, pays off.
 _SEVERAL: Count = 12
 # Names of files that do not name the machine; the folder does.
@@ -113,11 +114,18 @@ class AddArguments:
 
 @dataclass(frozen=True)
 class _Entry:
-    """What a file adds to a store: its kind, and how it is added, with False for a model without
-    information.
+    """What a file adds to a store.
+
+    Attributes:
+        kind: of the file.
+        machine: of which it is.
+        path: the file.
+        add: adds it, and returns False for a model without information.
     """
 
     kind: str
+    machine: str
+    path: Path
     add: Callable[[Store], object]
 
 
@@ -158,12 +166,11 @@ class _Reader:
 
         if b'"excluded"' in read_bounded(path, MODEL_FILE):
             machine = self._stated(load_diagnosis(path).id) or machine
-            return _Entry(
-                "diagnosis", partial(add_diagnosis, machine=machine, day=self.day, path=path)
-            )
+            add_it = partial(add_diagnosis, machine=machine, day=self.day, path=path)
+            return _Entry("diagnosis", machine, path, add_it)
         machine = self._stated(load_model(path).identity) or machine
         add = partial(add_model, machine=machine, day=self.day, path=path, labels=self.labels)
-        return _Entry("model", add)
+        return _Entry("model", machine, path, add)
 
     def _stated(self, identity: Identity | None) -> str:
         """Return the serial number that a file states, as the name of its machine; empty if there
@@ -196,7 +203,7 @@ class _Reader:
             role=role,
             labels=self.labels,
         )
-        return _Entry(CHECK if self.arguments.check else "table", add)
+        return _Entry(CHECK if self.arguments.check else "table", machine, path, add)
 
     @cached_property
     def _robot(self) -> Robot | None:
@@ -232,6 +239,7 @@ def fleet_add(arguments: AddArguments) -> Exit:
     reader = _Reader(arguments, day, labels, names)
     # Everything is read before anything is written.
     entries = [reader.entry(path) for path in arguments.files]
+    _refuse_uncalibrated(arguments.store, entries, day)
     store = open_store(arguments.store, create=True)
     without = [entry.add(store) for entry in entries].count(False)
     kinds = Counter(entry.kind for entry in entries)
@@ -247,6 +255,48 @@ def fleet_add(arguments: AddArguments) -> Exit:
         )
         echo_notes([words], quiet=arguments.general.quiet)
     return Exit.DONE
+
+
+def _refuse_uncalibrated(place: str, entries: Sequence[_Entry], day: str) -> None:
+    """Refuse checks and diagnoses of machines that are not calibrated by that day, which would
+    never count: mostly a name is misspelt, or left to the name of the file.
+
+    Raises:
+        BadInputError: for these.
+    """
+    from pincal.fleet.store import open_store
+
+    added = {entry.machine for entry in entries if entry.kind in ("model", "table")}
+    store = None
+    with suppress(BadInputError):
+        store = open_store(place)
+    for entry in entries:
+        if entry.machine in added:
+            continue
+        first = None if store is None else store.first_calibration(entry.machine)
+        if first is None:
+            raise BadInputError(_uncalibrated(entry, place, store))
+        if first > day:
+            raise BadInputError(
+                f"{entry.path}: of {day}, but {entry.machine} was first calibrated on {first}, "
+                "before which a check tells nothing; expected the day of the check (--day)"
+            )
+
+
+def _uncalibrated(entry: _Entry, place: str, store: Store | None) -> str:
+    """Return why a check of a machine without a calibration is refused, and what to do."""
+    from pincal.fleet.store import INFORMATION, MODELS, TABLES
+
+    kinds = (MODELS, INFORMATION, TABLES)
+    there = [] if store is None else [key for kind in kinds for key in store.keys(kind)]
+    names = sorted({key.machine for key in there} - {entry.machine})
+    listed = few(nearest_first([entry.machine], names), _NEAREST)
+    others = f"--machine, nearest first: {listed}; or " if listed else ""
+    return (
+        f"{entry.path}: {entry.machine} has no calibration in {place}, without which a check of it "
+        f"tells nothing; expected {others}its calibration first: "
+        f"pincal fleet add {place} MODEL.json --machine {entry.machine}"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
