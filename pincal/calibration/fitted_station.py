@@ -5,6 +5,7 @@ the conditions of other rows there.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +15,7 @@ from pincal.calibration.repeatability import Repeatability
 from pincal.errors import BadInputError
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import conditions_of, fingerprints
+from pincal.identify.stop_scatter import ScatterOfStations
 from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
 from pincal.model.conditions import Conditions
@@ -21,6 +23,25 @@ from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.sensors.setup import Setup
 from pincal.units import real_array
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatabilityInFit:
+    """Repeatability of the readings of a station of a fit, worked out when it is asked for.
+
+    Attributes:
+        scatter: of the stations of the fit.
+        name: of the station.
+    """
+
+    scatter: ScatterOfStations
+    name: str
+
+    @cached_property
+    def found(self) -> Repeatability | None:
+        """The repeatability; None where nothing was repeated."""
+        scatter = self.scatter.get(self.name)
+        return None if scatter is None else Repeatability.of(scatter)
 
 
 @dataclass(frozen=True)
@@ -41,8 +62,8 @@ class FittedStation:
         setup: named points and the camera.
         rows: fingerprints of the fitted rows; empty where unknown.
         is_noise_declared: whether the noise was declared, not estimated.
-        repeatability: of the readings within a stop and of stops at a pose; None where nothing was
-            repeated, or unknown.
+        repeated: repeatability of the readings within a stop and of stops at a pose, or how to find
+            it; None where nothing was repeated, or unknown.
     """
 
     name: str
@@ -55,7 +76,7 @@ class FittedStation:
     setup: Setup = field(default_factory=Setup)
     rows: str = ""
     is_noise_declared: bool = False
-    repeatability: Repeatability | None = None
+    repeated: Repeatability | RepeatabilityInFit | None = None
 
     @classmethod
     def of(cls, fit: ModelFit, k: int) -> FittedStation:
@@ -63,10 +84,9 @@ class FittedStation:
         problem = fit.problem
         at = problem.stations[k]
         options = fit.options.at(at.name)
-        scatter = fit.scatter.get(at.name)
         blocks = problem.block_spans[k]
         sigma = np.array(fit.solution.sigma[blocks], float)
-        if scatter is not None and scatter.of_single:
+        if at.name in fit.scatter.of_single:
             # The noise of a visit: a declared one is that of the instrument alone, and the arrival
             # of the drives shows in the residuals, also where they do not exceed it significantly.
             sigma = np.maximum(sigma, fit.solution.estimated[blocks])
@@ -81,8 +101,16 @@ class FittedStation:
             setup=options.setup,
             rows=fingerprints(at),
             is_noise_declared=options.sigma is not None,
-            repeatability=None if scatter is None else Repeatability.of(scatter),
+            repeated=RepeatabilityInFit(fit.scatter, at.name),
         )
+
+    @property
+    def repeatability(self) -> Repeatability | None:
+        """Of the readings within a stop and of stops at a pose; None where nothing was repeated, or
+        unknown.
+        """
+        of = self.repeated
+        return of.found if isinstance(of, RepeatabilityInFit) else of
 
     @property
     def is_placed(self) -> bool:

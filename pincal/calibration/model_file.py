@@ -326,7 +326,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
                 setup=entry.setup.setup(),
                 rows=entry.rows,
                 is_noise_declared=entry.is_noise_declared,
-                repeatability=entry.repeatability,
+                repeated=entry.repeatability,
             )
             for k, entry in enumerate(self.stations)
         )

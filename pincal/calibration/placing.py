@@ -275,7 +275,7 @@ class _Visit:
             sensor_kind=self.rows.kind,
             sigma=noise.estimated(solution.estimated),
             setup=self.setup,
-            repeatability=noise.repeatability,
+            repeated=noise.repeatability,
         )
         estimate = _estimate(station, solution, self.arm.estimate)
         return self.known.with_station(at_station).with_model(station.model, estimate)

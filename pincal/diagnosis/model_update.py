@@ -234,7 +234,7 @@ def _with_earlier_rows(
         found.station,
         covered=model.covered.over(found.covered),
         rows=together(model.rows, found.rows),
-        repeatability=repeatability,
+        repeated=repeatability,
     )
 
 

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from enum import Enum
 from fnmatch import filter as filter_names
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -37,11 +37,16 @@ from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.problem import Problem
 from pincal.identify.screening import without_wrong, wrong_readings
 from pincal.identify.solve import SETTLED, Course, solve, solve_to
-from pincal.identify.stop_scatter import StopScatter, scatter_of_stops, shared_in_fit
+from pincal.identify.stop_scatter import (
+    ScatterOfStations,
+    StopScatter,
+    scatter_of_stops,
+    shared_in_fit,
+)
 from pincal.identify.visit_weights import weighs_visits, with_visits
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
-from pincal.measure.stops import plan_of
+from pincal.measure.stops import Plan, plan_of
 from pincal.measure.table import stations_of
 from pincal.model.catalogue.bearing_features import without_idle_features
 from pincal.model.catalogue.masses import with_masses
@@ -166,17 +171,39 @@ def _fit_to_means(
 
 def _scatter(
     fit: ModelFit, readings: Mapping[str, Measurements], tables: Mapping[str, Measurements]
-) -> dict[str, StopScatter]:
+) -> ScatterOfStations:
     """Return the scatter of the readings of each station within and between the stops of its poses,
     by its name; ``tables`` are their means, which were fitted.
+    """
+    plans = {
+        station.name: plan_of(table)
+        for station, table in zip(fit.problem.stations, readings.values(), strict=True)
+        if not table.is_of_motion
+    }
+    of_single = frozenset(
+        station.name
+        for station in fit.problem.stations
+        if station.name in plans and weighs_visits(station, plans[station.name])
+    )
+    return ScatterOfStations(partial(_worked_out, fit, readings, tables, plans), of_single)
+
+
+def _worked_out(
+    fit: ModelFit,
+    readings: Mapping[str, Measurements],
+    tables: Mapping[str, Measurements],
+    plans: Mapping[str, Plan],
+) -> dict[str, StopScatter]:
+    """Return what :func:`_scatter` promises; ``plans`` are those of the stations, by their names,
+    that were not in motion.
     """
     found = dict[str, StopScatter]()
     for table, means, (station, places, blocks), rows in zip(
         readings.values(), tables.values(), fit.stations, fit.problem.rows, strict=True
     ):
-        if table.is_of_motion:
+        if station.name not in plans:
             continue
-        plan = plan_of(table)
+        plan = plans[station.name]
         single = station if means is table else fit.readings(table, station=station.name)
         of_table = scatter_of_stops(single, fit.values[places], plan)
         sound = np.flatnonzero(fit.solution.weights[rows] > 0.0)

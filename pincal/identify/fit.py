@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -17,7 +17,7 @@ from pincal.identify.options import Options
 from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, station_of
-from pincal.identify.stop_scatter import StopScatter
+from pincal.identify.stop_scatter import ScatterOfStations
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
@@ -143,7 +143,7 @@ class ModelFit:
             poses were taken, as others of their pose show them to be wrong
             (:mod:`pincal.identify.screening`); empty if none were.
         scatter: of the readings of each station, by its name, where any was repeated or a stop has
-            several targets.
+            several targets; worked out when it is asked for.
     """
 
     problem: Problem
@@ -154,7 +154,7 @@ class ModelFit:
     stages: tuple[FitStage, ...]
     options: Options
     wrong: tuple[np.ndarray, ...] = ()
-    scatter: Mapping[str, StopScatter] = field(default_factory=dict)
+    scatter: ScatterOfStations = field(default_factory=ScatterOfStations)
 
     @property
     def station(self) -> Station:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Literal
 
@@ -254,7 +255,7 @@ class Noise:
     declared: tuple[float | None, ...]
     least: tuple[float, ...] = ()
 
-    @property
+    @cached_property
     def known(self) -> np.ndarray:
         """The declared standard deviations, shape (blocks,), nan where none are."""
         return np.array([np.nan if sigma is None else sigma for sigma in self.declared], float)

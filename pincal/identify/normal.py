@@ -185,6 +185,9 @@ def runs(stations: Sequence[Station]) -> Iterator[range]:
     """Yield the numbers of consecutive stations that are evaluated together, as small ones of one
     kind are.
     """
+    if len(stations) == 1:
+        yield range(1)
+        return
     start = 0
     rows = len(stations[0])
     key = _key(stations[0])

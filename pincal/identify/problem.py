@@ -201,11 +201,9 @@ class Problem:
         """Return the number of readings of each block that count, shape (blocks,), given robust
         weights of all rows.
         """
-        counts = robust > 0.0
         (station, size) = self._of_blocks
-        return np.asarray(
-            np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size
-        )
+        counts = [np.count_nonzero(robust[rows] > 0.0) for rows in self.rows]
+        return np.asarray(np.array(counts)[station] * size)
 
     @cached_property
     def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:

@@ -687,9 +687,8 @@ def fingerprints(station: Station) -> str:
     ]
     numbers = [c.reshape(len(station), -1) for c in columns if np.issubdtype(c.dtype, np.floating)]
     rows = np.ascontiguousarray(np.hstack(numbers)) + 0.0
-    whole = memoryview(rows.tobytes())
-    size = rows.itemsize * rows.shape[1]
-    sums = [zlib.crc32(whole[at : at + size]) for at in range(0, len(whole), size)]
+    of_each = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))
+    sums = [zlib.crc32(bytes(of)) for of in of_each.ravel().tolist()]
     return base64.b64encode(np.array(sums, "<u4").tobytes()).decode()
 
 

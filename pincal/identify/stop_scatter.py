@@ -17,6 +17,7 @@ and v have another noise.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -111,6 +112,50 @@ class StopScatter:
             within_degrees=np.where(has_within, self.within_degrees, other.within_degrees),
             between_degrees=np.where(has_between, self.between_degrees, other.between_degrees),
         )
+
+
+class ScatterOfStations(Mapping[str, StopScatter]):
+    """Scatter of the readings of the stations of a fit, by their names, where any was repeated or a
+    stop has several targets.
+
+    It is worked out when it is first asked for: no fit needs it, and it takes as long as two or
+    three evaluations of the model.
+
+    Attributes:
+        of_single: names of the stations whose noise is that of a single reading, as known without
+            it: see :attr:`StopScatter.of_single`.
+    """
+
+    def __init__(
+        self,
+        work_out: Callable[[], dict[str, StopScatter]] = dict,
+        of_single: frozenset[str] = frozenset(),
+    ) -> None:
+        """Create it with the function that works it out."""
+        self.of_single = of_single
+        self._work_out = work_out
+        self._known: dict[str, StopScatter] | None = None
+
+    @property
+    def _found(self) -> dict[str, StopScatter]:
+        if self._known is None:
+            self._known = self._work_out()
+            # Its rows may be freed.
+            self._work_out = dict
+        return self._known
+
+    def __getitem__(self, name: str) -> StopScatter:
+        return self._found[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return it as found, without the rows."""
+        return {"of_single": self.of_single, "_work_out": dict, "_known": self._found}
 
 
 def scatter_of_stops(station: Station, values: np.ndarray, plan: Plan) -> StopScatter:

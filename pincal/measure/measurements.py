@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -118,7 +119,7 @@ class Measurements(Recorded):
         joints = " ".join(self.joint_names)
         return f"Measurements({self.source!r}: {len(self)} rows, {self.kind}, joints {joints})"
 
-    @property
+    @cached_property
     def sensor(self) -> type[Sensor] | None:
         """The class of the sensor with these columns; None where nothing was measured."""
         return sensor_class(self.columns())

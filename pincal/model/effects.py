@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self, final
+from typing import Any, ClassVar, Self, final
 
 import numpy as np
 
@@ -36,6 +36,13 @@ def _size(chain: Chain, element: str, symbol: str) -> float:
     if f"{element}.{symbol}" in chain.mounts:
         return _MOUNT_SIZE
     return LENGTH_SIZE if symbol in LENGTHS else ANGLE_SIZE
+
+
+def places_of(chain: Chain) -> dict[Any, Any]:
+    """Return which coordinates effects act on, by effect and moment frame, to be added to: they are
+    asked for with every evaluation of a model, and depend on the arm alone.
+    """
+    return chain.kept.about("places", chain.robot, chain.bearing_heights)
 
 
 class _Geometry(Effect):
@@ -68,8 +75,17 @@ class _Geometry(Effect):
     ) -> tuple[Term, ...]:
         return tuple(Term(p, k) for p, (_, _, k) in enumerate(self._places(chain)))
 
-    def _places(self, chain: Chain) -> Iterator[tuple[str, str, int]]:
-        """Yield element, symbol and coordinate of each parameter that readings can depend on."""
+    def _places(self, chain: Chain) -> tuple[tuple[str, str, int], ...]:
+        """Return element, symbol and coordinate of each parameter that readings can depend on."""
+        known = places_of(chain)
+        key = self, chain.moment_frame
+        if key not in known:
+            known[key] = tuple(self._found(chain))
+        found: tuple[tuple[str, str, int], ...] = known[key]
+        return found
+
+    def _found(self, chain: Chain) -> Iterator[tuple[str, str, int]]:
+        """Yield what :meth:`_places` returns."""
         robot = chain.robot
         inert = inert_coordinates(chain)
         for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
@@ -288,6 +304,15 @@ class Compliance(Discoverable):
         """Return joint, axis and coordinate, except where a loop makes the compliance
         meaningless.
         """
+        known = places_of(chain)
+        key = self, chain.moment_frame
+        if key not in known:
+            known[key] = self._found(chain)
+        found: list[tuple[int, str, int]] = known[key]
+        return found
+
+    def _found(self, chain: Chain) -> list[tuple[int, str, int]]:
+        """Return what :meth:`_places` does."""
         names = chain.robot.joint_names
         inert = inert_coordinates(chain)
         joints = [
