@@ -15,6 +15,7 @@ from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
 from pincal.diagnosis.diagnosis_file import ExcludedEntry
 from pincal.diagnosis.diagnosis_numbers import DIAGNOSIS
 from pincal.diagnosis.lineup import ChangeHypotheses, PossibleChange
+from pincal.identify.quadratic import ROUNDING, root_of_inverse
 from pincal.identify.station import Station
 from pincal.sensors.point_sensor import PointSensor
 from pincal.thresholds import Count, Scale
@@ -90,21 +91,30 @@ def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
     if rival is None:
         return ""
     change = step.score.change
+    otherwise = "re-identify either, or inspect the joints themselves"
+    if _are_alike(verdict, change, rival):
+        least = f"{1e3 * DIAGNOSIS.resolvable:g} mm"
+        return f"the two differ by less than {least}, too little for any instrument; {otherwise}"
     there, apart = most_different_poses(verdict, change, rival)
-    most = f"{1e3 * apart[0]:.2g} mm"
-    for n in _MORE if apart[0] > DIAGNOSIS.resolvable else ():
+    for n in _MORE:
         if separation(verdict, there.select(np.arange(n)), change, rival) > DIAGNOSIS.told_apart:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
             return (
-                f"measure {n} more poses in which the two differ most, by {most} at the "
-                f"target: {shown}{like}"
+                f"measure {n} more poses in which the two differ most, by {1e3 * apart[0]:.2g} mm "
+                f"at the target: {shown}{like}"
             )
-    few = f"{_MORE[-1]} more poses" if apart[0] > DIAGNOSIS.resolvable else "any instrument"
     return (
-        f"the two differ by at most {most}, too little for {few}; re-identify either, or "
-        "inspect the joints themselves"
+        f"the two differ by at most {1e3 * apart[0]:.2g} mm beyond what a new fit takes up and the "
+        f"calibration leaves open, too little for {_MORE[-1]} more poses; {otherwise}"
     )
+
+
+def _are_alike(verdict: ChangeVerdict, change: int, rival: int) -> bool:
+    """Return whether no instrument tells two changes apart, even of a robot that is certain."""
+    there = _further_poses(verdict.lineup, np.random.default_rng(0))
+    apart = _differences(verdict, there, change, rival, is_certain=True)
+    return bool(apart.max() <= DIAGNOSIS.resolvable)
 
 
 def most_different_poses(
@@ -113,18 +123,27 @@ def most_different_poses(
     """Return a station with random poses, those first in which two changes differ most, and the
     differences [m]. A target that is held in a socket, or touches, is where it was in some row.
 
-    Each change has the size that explains the rows best, with instrument and target relocated, so
-    the difference is what new rows would show.
+    A change has the size that explains the rows best. Of the difference counts what remains where
+    the rival is fitted to the rows and these poses, with instrument and target relocated, and the
+    robot as far from its calibration as that leaves open.
     """
-    lineup = verdict.lineup
-    rng = np.random.default_rng(0)
-    others = [i for i in verdict.happened if i != change]
-    one, other = (lineup.release([*others, i], verdict.values) for i in (change, rival))
-    there = _further_poses(lineup, rng)
-    motion = there.model.linearise(there.model.own(lineup.start), there.conditions)[1]
-    apart = np.linalg.norm(motion @ there.model.own(one - other), axis=1)
+    there = _further_poses(verdict.lineup, np.random.default_rng(0))
+    apart = _differences(verdict, there, change, rival)
     order = np.argsort(-apart)
     return there.select(order), apart[order]
+
+
+def _differences(
+    verdict: ChangeVerdict, there: Station, change: int, rival: int, *, is_certain: bool = False
+) -> np.ndarray:
+    """Return the differences of two changes at the target, shape (N,) [m], as
+    :func:`most_different_poses`; of a robot that is certain, without what its calibration leaves
+    open.
+    """
+    left = _unabsorbed(verdict, there, change, rival, is_certain=is_certain)[1]
+    model = there.model
+    motion = model.linearise(model.own(verdict.lineup.start), there.conditions)[1]
+    return np.asarray(np.linalg.norm(motion @ model.own(left), axis=1))
 
 
 def _further_poses(lineup: ChangeHypotheses, rng: np.random.Generator) -> Station:
@@ -146,26 +165,45 @@ def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -
     """Return the squared signal of a change that another can't absorb if rows are added, in units
     of the noise.
     """
-    lineup = verdict.lineup
-    n = len(lineup.station)
-    wider = lineup.station.select(np.resize(np.arange(n), n + len(more)))
-    old = lineup.station.conditions
+    return _unabsorbed(verdict, more, change, rival)[0]
+
+
+def _unabsorbed(
+    verdict: ChangeVerdict, more: Station, change: int, rival: int, *, is_certain: bool = False
+) -> tuple[float, np.ndarray]:
+    """Return the squared signal of a change that another can't absorb if rows are added, in units
+    of the noise, and what causes it, shape (P,): the change, less what the other, the station and
+    an uncertain robot take up of it.
+    """
+    known = verdict.lineup.as_certain() if is_certain else verdict.lineup
+    lineup = replace(known, station=_with_poses(known.station, more), shared=None)
+    found = lineup.weigh(verdict.values, [i for i in verdict.happened if i != change])
+    left = np.zeros(len(verdict.values))
+    c = lineup.places[change]
+    g = np.setdiff1d(lineup.places[rival], c)
+    if not len(g):
+        return 0.0, left
+    left[c] = (verdict.values - lineup.start)[c]
+    form = found.form
+    root = root_of_inverse(form.H[np.ix_(g, g)], form.whole[g], ROUNDING)
+    left[g] -= root @ (root.T @ (form.H[g] @ left))
+    square = float(max(left @ form.H @ left, 0.0))
+    along = (left @ found.jacobian) @ (found.projected @ found.jacobian).T
+    return square, left - along @ found.projected
+
+
+def _with_poses(station: Station, more: Station) -> Station:
+    """Return the rows of a station, and further poses there."""
+    n = len(station)
+    wider = station.select(np.resize(np.arange(n), n + len(more)))
+    old = station.conditions
     new = more.conditions
     both = replace(
         wider.conditions,
         q=np.concatenate([old.q, new.q]),
         payload=np.concatenate([old.payload, new.payload]),
     )
-    others = [i for i in verdict.happened if i != change]
-    found = replace(lineup, station=replace(wider, conditions=both), shared=None).weigh(
-        verdict.values, others
-    )
-    c = lineup.places[change]
-    g = np.setdiff1d(lineup.places[rival], c)
-    size = (verdict.values - lineup.start)[c]
-    if not len(g):
-        return 0.0
-    return float(max(size @ found.form.released(g).H[np.ix_(c, c)] @ size, 0.0))
+    return replace(wider, conditions=both)
 
 
 def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:

@@ -276,6 +276,16 @@ class ChangeHypotheses:
         shared = None if self.shared is None else self.shared.select(kept)
         return replace(self, station=self.station.select(kept), shared=shared)
 
+    def as_certain(self) -> ChangeHypotheses:
+        """Return the hypotheses on a robot that is exactly as calibrated but for its changes."""
+        known = replace(
+            self.known,
+            root=self.known.root[:, :0],
+            masses=None,
+            taken_up=self.known.taken_up[:, :0],
+        )
+        return replace(self, known=known, surroundings=self.surroundings[:0])
+
     def free(self, happened: Sequence[int]) -> np.ndarray:
         """Return the indices of the unconstrained parameters, given some changes."""
         return np.unique(np.concatenate([self.own, *(self.places[i] for i in happened)])).astype(
