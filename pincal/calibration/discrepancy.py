@@ -341,7 +341,7 @@ def _hidden(structure: Structure) -> Discrepancy | None:
         drives=drives,
         rest=rest,
         factor=1.0,
-        coordinates=len(structure.kernels[0].squares),
+        coordinates=len(structure.kernels[0].diagonal),
     )
 
 
