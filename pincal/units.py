@@ -385,10 +385,13 @@ def format_digits(value: float) -> str:
 
 
 class Quantity(NamedTuple):
-    """A number with its own SI unit, for columns whose rows have different units."""
+    """A number with its own SI unit, for columns whose rows have different units, and perhaps with
+    the uncertainty to which it is shown.
+    """
 
     value: float
     unit: str
+    sigma: float | None = None
 
 
 def show_plainly(value: Any) -> str:
@@ -444,12 +447,15 @@ def show_percent(share: float | None) -> str:
 
 
 def show_chance(p_value: float) -> str:
-    """Return a p-value as text, to two digits; one that is beyond doubt is given by a bound.
+    """Return a p-value as text, to two digits; one that is beyond doubt is given by a bound, and
+    one that was not computed is no chance.
 
     Example:
-        >>> [show_chance(p_value) for p_value in (0.27, 1.2e-5, 1e-130, 0.0)]
-        ['0.27', '1.2e-05', '<1e-10', '<1e-10']
+        >>> [show_chance(p_value) for p_value in (0.27, 1.2e-5, 1e-130, 0.0, 1.0, math.nan)]
+        ['0.27', '1.2e-05', '<1e-10', '<1e-10', '1', 'not known']
     """
+    if math.isnan(p_value):
+        return "not known"
     return f"{p_value:.2g}" if p_value >= _LEAST_CHANCE else f"<{_LEAST_CHANCE:.0e}"
 
 
@@ -462,6 +468,18 @@ def show_value(quantity: Quantity | None) -> str:
         ['12.3456', '1.500e-06', '0']
     """
     return _scaled(quantity, scaled="z.4f", plain=".3e")
+
+
+def show_rounded(quantity: Quantity) -> str:
+    """Return a quantity in its readable unit, rounded to two digits of its uncertainty, without the
+    unit.
+
+    Example:
+        >>> show_rounded(Quantity(4.0567e-4, "rad", 3.4e-5)), show_rounded(Quantity(2.0, "kg"))
+        ('0.406', '2')
+    """
+    unit = readable_unit(quantity.unit)
+    return show_measured(quantity.value, quantity.sigma, unit).partition(" ")[0]
 
 
 def show_sigma(quantity: Quantity | None) -> str:
@@ -503,6 +521,16 @@ def show_measured(value: float, sigma: float | None, unit: Unit) -> str:
     if places > _MOST_PLACES:
         return f"{value:.3g} ± {digits}"
     return f"{value:z.{places}f} ± {float(digits):.{places}f}"
+
+
+def typeset(page: str) -> str:
+    """Return a page with its units as in print; terminals and files have them in plain letters.
+
+    Example:
+        >>> typeset("<td>0.02 m/s^2</td>")
+        '<td>0.02 m/s²</td>'
+    """
+    return page.replace("m/s^2", "m/s²")
 
 
 def show_unit(unit: str) -> str:

@@ -442,8 +442,10 @@ def test_units_beyond_the_digital_system_stand_as_text() -> None:
     group = FigureGroup(title="errors", figures=tuple(figures))
     bare = {"title": "t", "issue": ISSUE, "item": "i", "identity": Identity(), "files": {"a": "b"}, "versions": {}}
 
-    xml = digital_certificate(Certificate(groups=(group,), **bare))
+    certificate = Certificate(groups=(group,), **bare)
+    xml = digital_certificate(certificate)
 
+    assert "m/s²" in certificate_page(certificate) and "m/s^2" not in certificate_page(certificate)
     assert list(faults(etree.fromstring(xml))) == []
     assert b">0.25 px<" in xml and rb">\metre\second\tothe{-2}<" in xml
 

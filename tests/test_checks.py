@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -103,7 +104,7 @@ def test_value_beyond_its_limit_is_a_warning() -> None:
     """A few values beyond the limits are named with the worst and its line."""
     q = _q()
     q[3, 1], q[7, 1] = 1.2, -1.4
-    with pytest.warns(PincalWarning, match=r'2 rows of "b" .* worst is -1.4 in line 9, 0.4 too far'):
+    with pytest.warns(PincalWarning, match=r'2 rows of "b" .* worst is -1.4 rad in line 9, 0.4 rad too far'):
         check_joint_values(_table(q), LOWER, UPPER, TYPES)
 
 
@@ -119,8 +120,20 @@ def test_a_typing_slip_is_a_warning_not_a_unit() -> None:
     """One value that even degrees can't explain is reported as that row's."""
     q = _q()
     q[5, 1] = 1000
-    with pytest.warns(PincalWarning, match=r'1 row of "b" .* worst is 1000 in line 7'):
+    with pytest.warns(PincalWarning, match=r'1 row of "b" .* worst is 1000 rad in line 7'):
         check_joint_values(_table(q), LOWER, UPPER, TYPES)
+
+
+@pytest.mark.parametrize(("unit", "size"), [("", 1.0), ("deg", np.pi / 180.0), ("mrad", 1e-3)])
+def test_what_lies_beyond_a_limit_is_told_in_the_unit_of_its_column(unit: str, size: float) -> None:
+    """As it stands in the file, radians without one."""
+    q = _q()
+    q[5, 1] = UPPER[1] + 0.5
+    table = _table(q, units={"b": unit} if unit else None)
+    worst, excess = (UPPER[1] + 0.5) / size, 0.5 / size
+    words = f"the worst is {worst:.6g} {unit or 'rad'} in line 7, {excess:.3g} {unit or 'rad'} too far"
+    with pytest.warns(PincalWarning, match=re.escape(words)):
+        check_joint_values(table, LOWER, UPPER, TYPES)
 
 
 def test_swapped_joint_columns_are_named() -> None:

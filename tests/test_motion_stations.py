@@ -328,7 +328,7 @@ def test_a_session_is_calibrated_by_commands(
     clock = next(clock for clock in result["clocks"] if clock["station"] == "monday/tracker")
     assert clock["drift_ppm"] == pytest.approx(150.0, abs=2.0) and clock["gyro_early_s"] is None
     page = (out / "report.html").read_text()
-    assert "Clocks relative to that of the joints" in page and "m/s^2" in page
+    assert "Clocks relative to that of the joints" in page and "m/s²" in page and "m/s^2" not in page
 
     streams = ["--joints", day / "joints.csv", "--imu", day / "imu.csv"]
     # It has no error in mm, so no limit in mm is kept.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -52,6 +53,23 @@ def fitted(robot: Robot, tables: Mapping[str, Measurements]) -> ModelFit:
     return fit_tables(robot, tables, Options(effects=GEOMETRIC, sigma=SIGMA))
 
 
+@pytest.mark.parametrize("sigma", [1.7e-5, 3.4e-4, 2.2e-3])
+def test_a_change_has_the_digits_of_its_interval(sigma: float) -> None:
+    """Two digits of the interval, and as many decimals of the change, in words and in the table."""
+    entry = {"name": "joint_3.theta", "unit": "rad", "change": 0.01234567, "sigma": sigma, "moved": True}
+    records = [{"name": "monday", "parameters": []}, {"name": "tuesday", "parameters": [entry]}]
+    told = re.match(r"joint_3.theta at tuesday by (\S+) ± (\S+) mrad", station_changes(records))
+    table = moved_table(records)
+
+    assert told is not None and table is not None
+    by, half = told.groups()
+    assert float(half) == pytest.approx(1.96e3 * sigma, rel=0.05) and len(half.strip("0.").replace(".", "")) <= 2
+    assert len(by.partition(".")[2]) == len(half.partition(".")[2])
+    assert table.texts()[0][3] == by and {len(text.partition(".")[2]) for text in table.texts()[0][3:6]} == {
+        len(by.partition(".")[2])
+    }
+
+
 @pytest.mark.long
 def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> None:
     """An offset that came between Tuesday and Wednesday: which one, when, and the truth within three sigma."""
@@ -72,7 +90,7 @@ def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> Non
     words = station_changes(records)
     doubts = [str(note) for note in run.result.warnings if "moved by" in str(note)]
     assert [doubt.startswith("wednesday: joint_3.theta moved by 0.") for doubt in doubts] == [True]
-    assert words.startswith("joint_3.theta at wednesday by 0.") and "mrad ± 0.0" in words and "thursday" not in words
+    assert words.startswith("joint_3.theta at wednesday by 0.") and " ± 0.0" in words and "thursday" not in words
     table = moved_table(records)
     assert table is not None and [row[2] for row in table.rows] == list(DAYS[1:])
 

@@ -22,7 +22,7 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
 from pincal.thresholds import Count
-from pincal.units import format_readable, format_small, show_chance
+from pincal.units import Quantity, format_small, show_chance, show_rounded, show_unit
 from pincal.validate.accuracy import pose_error_sizes
 from pincal.validate.agreement import computed, implausible
 from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
@@ -331,7 +331,7 @@ def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) 
     for station, here in zip(fit.problem.stations, moves, strict=False):
         least = CHANGES.matters * len(station) * station.reading_size
         some = [
-            f"{move['name']} moved by {format_readable(move['change'], move['unit'])}"
+            f"{move['name']} moved by {_rounded(move)}"
             for move in here
             if move["moved"]
             and move["name"] not in own
@@ -339,6 +339,12 @@ def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) 
         ]
         if some:
             yield Caveat(CaveatKind.MOVED, {"what": " and ".join(some)}, station.name)
+
+
+def _rounded(move: MovedParameter) -> str:
+    """Return how far a parameter moved, to the digits of its uncertainty, in words."""
+    moved = Quantity(move["change"], move["unit"], move["sigma"])
+    return f"{show_rounded(moved)} {show_unit(move['unit'])}"
 
 
 def findings_on_fit(

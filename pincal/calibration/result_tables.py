@@ -22,10 +22,10 @@ from pincal.units import (
     Quantity,
     Unit,
     fixed,
-    format_readable,
     readable_unit,
     show_measured,
     show_plainly,
+    show_rounded,
     show_sigma,
     show_unit,
     show_value,
@@ -397,9 +397,9 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
         Column("parameter", kind=Kind.NAME),
         Column("unit", kind=Kind.LABEL, show=show_unit),
         Column("station", kind=Kind.NAME),
-        Column("since the first", kind=Kind.NUMBER, show=show_value),
-        Column("95 %: from", kind=Kind.NUMBER, show=show_value),
-        Column("to", kind=Kind.NUMBER, show=show_value),
+        Column("since the first", kind=Kind.NUMBER, show=show_rounded),
+        Column("95 %: from", kind=Kind.NUMBER, show=show_rounded),
+        Column("to", kind=Kind.NUMBER, show=show_rounded),
         Column("since the previous", kind=Kind.LABEL),
     )
     hidden = len(found) - len(rows)
@@ -413,8 +413,14 @@ def _moved_row(at: str, entry: Mapping[str, Any]) -> tuple[Cell, ...]:
     change = entry["change"]
     half = INTERVAL * entry["sigma"]
     bounds = (change, change - half, change + half)
-    numbers = (Quantity(number, entry["unit"]) for number in bounds)
+    numbers = (Quantity(number, entry["unit"], half) for number in bounds)
     return (entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else "")
+
+
+def _with_interval(entry: Mapping[str, Any]) -> str:
+    """Return a change with its interval, in words."""
+    unit = readable_unit(entry["unit"])
+    return f"{show_measured(entry['change'], INTERVAL * entry['sigma'], unit)} {unit.name}"
 
 
 def station_changes(stations: Sequence[StationRecord]) -> str:
@@ -426,8 +432,7 @@ def station_changes(stations: Sequence[StationRecord]) -> str:
         if entry["moved"]
     ]
     words = [
-        f"{entry['name']} at {name} by {format_readable(entry['change'], entry['unit'])} ± "
-        f"{format_readable(INTERVAL * entry['sigma'], entry['unit'], '.2g')} (95 %)"
+        f"{entry['name']} at {name} by {_with_interval(entry)} (95 %)"
         for name, entry in moved[:_MOST_NAMED]
     ]
     return "; ".join(words) + (

@@ -9,7 +9,7 @@ from pincal.certificate.contents import NOT_STATED, Certificate, Figure, Range
 from pincal.errors import counted
 from pincal.identity import KEYS
 from pincal.thresholds import Count
-from pincal.units import show_limits, show_size
+from pincal.units import show_limits, show_size, typeset
 
 # Short names for what identifies robot, instrument and circumstances.
 _LABELS = {
@@ -41,7 +41,7 @@ def certificate_page(certificate: Certificate) -> str:
     has_limits = any(
         figure.limits is not None for group in certificate.groups for figure in group.figures
     )
-    return environment.get_template("certificate.html.j2").render(
+    made = environment.get_template("certificate.html.j2").render(
         of=certificate,
         style=style.read_text(encoding="utf-8"),
         identity=_identity(certificate),
@@ -51,6 +51,7 @@ def certificate_page(certificate: Certificate) -> str:
         counted=counted,
         digits=_DIGITS,
     )
+    return typeset(made)
 
 
 def _identity(certificate: Certificate) -> list[tuple[str, str]]:

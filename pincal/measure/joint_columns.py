@@ -21,6 +21,7 @@ from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
 from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.measurements import Measurements
 from pincal.thresholds import Count, Scale
+from pincal.units import SIZES
 
 _Columns = Hypothesis[np.ndarray]
 # Steps in which positions are written, largest first [rad]; what they may be off in parts of one,
@@ -181,13 +182,16 @@ class JointColumns:
         """Warn of each joint with values beyond its limits."""
         hint = f"; all rows are inside with {' or '.join(swaps)} swapped" if swaps else ""
         for j in np.flatnonzero(self._outside.any(axis=0)):
+            name = self.table.joint_names[j]
+            unit = self.table.units.get(name, "m" if self.slides[j] else "rad")
             worst = int(self._excess[:, j].argmax())
+            value, excess = (of[worst, j] / SIZES[unit] for of in (self.table.q, self._excess))
             n = int(self._outside[:, j].sum())
             warn(
                 f"{self.table.source}: {counted(n, 'row')} of "
-                f'"{self.table.joint_names[j]}" {"lie" if n > 1 else "lies"} beyond its limits, '
-                f"the worst is {self.table.q[worst, j]:.6g} in line {self.table.rows[worst]}, "
-                f"{self._excess[worst, j]:.3g} too far{hint}; check the sign, the zero and the URDF"
+                f'"{name}" {"lie" if n > 1 else "lies"} beyond its limits, '
+                f"the worst is {value:.6g} {unit} in line {self.table.rows[worst]}, "
+                f"{excess:.3g} {unit} too far{hint}; check the sign, the zero and the URDF"
             )
 
 

@@ -9,6 +9,7 @@ from pincal.errors import counted
 from pincal.report import sections
 from pincal.report.blocks import Section
 from pincal.report.subject import Subject
+from pincal.units import typeset
 
 log = logging.getLogger(__name__)
 
@@ -65,4 +66,5 @@ def render(
         loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     page = environment.get_template("report.html.j2")
-    return page.render(title=title, lead=lead, sections=sections, version=version, view=view)
+    made = page.render(title=title, lead=lead, sections=sections, version=version, view=view)
+    return typeset(made)

@@ -66,7 +66,11 @@ def _blocks(report: DataReport, found: DetectabilityTable) -> Iterator[object]:
     whole = [
         (e.effect.name, smallest_size([e])) for e in found.effects if e.effect.locus.joint is None
     ]
-    sizes = [f"{name} {format_small(*size)}" for name, size in whole if isinstance(size, Quantity)]
+    sizes = [
+        f"{name} {format_small(size.value, size.unit)}"
+        for name, size in whole
+        if isinstance(size, Quantity)
+    ]
     if sizes:
         yield Text("Whole arm: " + ", ".join(sizes))
     lost = ((e.effect.name, e.effect.locus.joint, e.reason) for e in found.effects)
