@@ -21,7 +21,7 @@ from pincal.errors import ModelFileError, OutputError
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
-from pincal.io.arrays import packed_covariance, packed_matrix, unpacked
+from pincal.io.arrays import packed_covariance, packed_matrix, packed_symmetric, unpacked
 from pincal.io.entries import EFFECTS
 from pincal.io.strict_json import Fault
 from pincal.io.urdf_export import calibrated_urdf
@@ -528,6 +528,29 @@ def test_a_large_covariance_keeps_what_rounding_leaves() -> None:
     assert np.all(np.abs(again - C) <= 2.0**-49 * np.outer(scale, scale))
     with pytest.raises(Fault, match="truncated or damaged"):
         unpacked(text[:-400] + "=" * 4, 10**7)
+
+
+@pytest.mark.parametrize("n", [1, 100, 101, 1700, 2501])
+def test_a_symmetric_matrix_is_restored_to_the_last_bit(n: int) -> None:
+    """Whatever its size; of a large one a half is written, of the largest all."""
+    A = np.random.default_rng(n).normal(size=(n, 3))
+    H = A @ A.T
+    text = packed_symmetric(H)
+
+    assert np.array_equal(unpacked(text, H.nbytes + 8), H)
+    is_half = 100 < n <= 2500
+    assert len(text) < (0.55 if is_half else 1.1) * len(packed_matrix(H))
+    if is_half:
+        with pytest.raises(Fault, match="truncated or damaged"):
+            unpacked(text, H.nbytes // 2)
+
+
+def test_a_matrix_that_is_hardly_symmetric_is_written_whole() -> None:
+    """A last bit on one side of the diagonal is kept."""
+    H = np.eye(200)
+    H[150, 3] = 2.0**-1000
+
+    assert np.array_equal(unpacked(packed_symmetric(H), 10**6), H)
 
 
 @pytest.mark.long

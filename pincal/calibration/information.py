@@ -19,7 +19,7 @@ from pincal.calibration.station_information import information_at
 from pincal.errors import BadInputError, ModelFileError
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import ROUNDING, Quadratic
-from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
+from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_symmetric
 from pincal.io.entries import ParameterEntry, plain, restoring
 from pincal.io.strict_json import Fault, FileKind, built, read_json, write_json
 from pincal.model.catalogue.remainder import SmoothRemainder
@@ -68,7 +68,7 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     robot: str
     geometry: int
     parameters: Annotated[tuple[ParameterEntry, ...], ArrayShape("parameters")]
-    H: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_matrix)]
+    H: Annotated[Packed, ArrayShape("parameters", "parameters", write=packed_symmetric)]
     g: Annotated[Numbers, ArrayShape("parameters")]
     whole: Annotated[Numbers, ArrayShape("parameters")]
     square: float
@@ -124,7 +124,8 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         scale = np.sqrt(np.maximum(form.whole, 1e-300))[:, None]
         if np.any(np.diag(H) < 0.0):
             values, axes = np.linalg.eigh(H / (scale * scale.T))
-            H = (scale * axes * np.maximum(values, 0.0)) @ (scale * axes).T
+            root = scale * axes * np.sqrt(np.maximum(values, 0.0))
+            H = root @ root.T
         return cls.like(
             replace(form, H=H),
             format="pincal-information",

@@ -4,13 +4,13 @@ A field declares its shape by an :class:`ArrayShape` in its annotation. A name i
 has to agree within one structure; the first field with the name determines it.
 
 Large matrices are text: their 64-bit words, transposed to bytes of equal weight, deflated, in
-base64. A matrix is restored to the last bit. The covariance of many parameters is written as
-integer multiples of the power of two
+base64. A matrix is restored to the last bit; of a large one that is symmetric only the lower half
+is written. The covariance of many parameters is written as integer multiples of the power of two
 
 .. math:: 2^{e_i + e_j - 50}, \qquad \sigma_i = m \, 2^{e_i}, \quad 1/2 \le m < 1,
 
-and only its lower half, as the digits beyond are rounding of its computation: 17 MB as lists of
-numbers become 1.7 MB. The error of an entry is at most :math:`2^{-49} \sigma_i \sigma_j`; for a
+and also only its lower half, as the digits beyond are rounding of its computation: 17 MB as lists
+of numbers become 1.7 MB. The error of an entry is at most :math:`2^{-49} \sigma_i \sigma_j`; for a
 UR10 with 850 parameters, standard deviations of predictions have relative errors of 5e-10.
 """
 
@@ -205,12 +205,13 @@ def _shape_in(hint: Any) -> ArrayShape | None:
     return next((part for part in parts if isinstance(part, ArrayShape)), None)
 
 
-# Most parameters whose covariance is written to the last bit, in less than 1 MB.
+# Most parameters whose matrices are written whole, to the last bit, in less than 1 MB.
 _MOST_EXACT: Count = 100
-# Largest covariance that pincal writes.
-_MOST_ROWS: Count = 1500
+# Rows of the largest matrix of which pincal writes a half.
+_MOST_ROWS: Count = 2500
 _BITS: Count = 50
 _COVARIANCE = "covariance:"
+_SYMMETRIC = "symmetric:"
 _MATRIX = "matrix:"
 _EXPECTED = "a matrix, as lists of numbers or as pincal packs it"
 
@@ -223,6 +224,17 @@ def packed_matrix(matrix: np.ndarray) -> Any:
         return matrix.tolist()
     words = np.ascontiguousarray(matrix, "<f8").view("<u8").ravel()
     return _MATRIX + _text(np.append(np.uint64(len(matrix)), words))
+
+
+def packed_symmetric(matrix: np.ndarray) -> Any:
+    """Return a symmetric matrix as text, to the last bit, a large one by its lower half; one that
+    is not symmetric as :func:`packed_matrix` does.
+    """
+    n = len(matrix)
+    is_large = _MOST_EXACT < n <= _MOST_ROWS
+    if not is_large or not np.isfinite(matrix).all() or not np.array_equal(matrix, matrix.T):
+        return packed_matrix(matrix)
+    return _SYMMETRIC + _text(np.ascontiguousarray(matrix[np.tril_indices(n)], "<f8").view("<u8"))
 
 
 def packed_covariance(covariance: np.ndarray) -> Any:
@@ -246,17 +258,21 @@ def packed_covariance(covariance: np.ndarray) -> Any:
     return _COVARIANCE + _text(((words << 1) ^ (words >> 63)).view("<u8"))
 
 
+def is_half(text: str) -> bool:
+    """Return whether a text holds only the lower half of a matrix."""
+    return text.startswith((_COVARIANCE, _SYMMETRIC))
+
+
 def unpacked(text: str, most: int) -> np.ndarray:
-    """Return the matrix in a text, of at most so many bytes.
+    """Return the matrix in a text, which holds at most so many bytes.
 
     Raises:
         Fault: for other text, or a larger matrix.
     """
-    kind = next((kind for kind in (_COVARIANCE, _MATRIX) if text.startswith(kind)), None)
+    kind = next((kind for kind in _READ if text.startswith(kind)), None)
     if kind is None:
         raise Fault("has entries that are not finite numbers", "an array of numbers")
-    words = _words(text.removeprefix(kind), most)
-    found = _covariance(words) if kind == _COVARIANCE else _matrix(words)
+    found = _READ[kind](_words(text.removeprefix(kind), most))
     if found is None or not np.isfinite(found).all():
         raise Fault("is truncated or damaged", _EXPECTED)
     return found
@@ -271,6 +287,14 @@ def _matrix(words: np.ndarray) -> np.ndarray | None:
     )
 
 
+def _symmetric(words: np.ndarray) -> np.ndarray | None:
+    # n (n + 1) / 2 entries.
+    n = int((np.sqrt(1.0 + 8.0 * len(words)) - 1.0) / 2.0)
+    if not 0 < n <= _MOST_ROWS or n * (n + 1) != 2 * len(words):
+        return None
+    return _both_halves(words.view("<f8"), n)
+
+
 def _covariance(words: np.ndarray) -> np.ndarray | None:
     # n exponents, and n (n + 1) / 2 entries.
     n = int((np.sqrt(9.0 + 8.0 * len(words)) - 3.0) / 2.0)
@@ -278,11 +302,29 @@ def _covariance(words: np.ndarray) -> np.ndarray | None:
         return None
     numbers = (words >> np.uint64(1)).view("<i8") ^ -(words & np.uint64(1)).view("<i8")
     exponents = np.clip(numbers[:n], -600, 600)
-    (i, j) = np.tril_indices(n)
-    found = np.empty((n, n))
-    found[i, j] = np.ldexp(numbers[n:].astype(float), exponents[i] + exponents[j] - _BITS)
-    found[j, i] = found[i, j]
+    found = _both_halves(numbers[n:].astype(float), n)
+    np.ldexp(found, np.add.outer(exponents, exponents - _BITS), out=found)
     return found
+
+
+def _both_halves(lower: np.ndarray, n: int) -> np.ndarray:
+    """Return a symmetric matrix, shape (n, n), by its lower half, row by row."""
+    found = np.empty((n, n))
+    at = 0
+    for i in range(n):
+        row = lower[at : at + i + 1]
+        found[i, : i + 1] = row
+        found[: i + 1, i] = row
+        at += i + 1
+    return found
+
+
+# How a text is read, by what it begins with.
+_READ: dict[str, Callable[[np.ndarray], np.ndarray | None]] = {
+    _COVARIANCE: _covariance,
+    _SYMMETRIC: _symmetric,
+    _MATRIX: _matrix,
+}
 
 
 def _text(words: np.ndarray) -> str:

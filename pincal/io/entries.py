@@ -21,6 +21,7 @@ from pincal.io.arrays import (
     Rotations,
     Vector,
     array_of,
+    is_half,
     unpacked,
 )
 from pincal.io.robot_entry import PathEntry, RobotEntry
@@ -214,7 +215,7 @@ class SetupEntry(Record, frozen=True, kw_only=True):
 def restoring() -> Hook:
     """Return a function that returns the array or effect represented by a value of a JSON file.
 
-    All matrices that it unpacks together have at most as many bytes as a file.
+    All matrices that it unpacks hold together at most as many bytes as a file.
     """
     left = MOST_BYTES
 
@@ -225,7 +226,7 @@ def restoring() -> Hook:
         if not isinstance(value, str):
             return array_of(value)
         found = unpacked(value, left)
-        left -= found.nbytes
+        left -= found.nbytes // 2 if is_half(value) else found.nbytes
         return found
 
     return restored
