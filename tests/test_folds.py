@@ -79,9 +79,7 @@ def test_folds_are_the_same_one_by_one(robot: Robot, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("model", ["solution", "nominal"])
-def test_folds_are_the_same_together_and_step_by_step(
-    fit: ModelFit, model: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folds_are_the_same_together_and_step_by_step(fit: ModelFit, model: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Short steps to the fits without folds are worked out together, by the columns of all rows; each alone gives them."""
     solution = getattr(fit, model)
     folds = list(Folds.of(fit.problem, ("regions", "stretches")).of_way.values())
