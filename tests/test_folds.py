@@ -78,6 +78,20 @@ def test_folds_are_the_same_one_by_one(robot: Robot, monkeypatch: pytest.MonkeyP
             np.testing.assert_allclose(again, station, rtol=0.0, atol=1e-6 * NOISE)
 
 
+@pytest.mark.parametrize("model", ["solution", "nominal"])
+def test_folds_are_the_same_together_and_step_by_step(fit: ModelFit, model: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Short steps to the fits without folds are worked out together, by the columns of all rows; each alone gives them."""
+    solution = getattr(fit, model)
+    folds = list(Folds.of(fit.problem, ("regions", "stretches")).of_way.values())
+    together = left_out_residuals(fit, solution, folds)
+    monkeypatch.setattr("pincal.identify.folds._short_steps", lambda *_: {})
+    monkeypatch.setattr("pincal.identify.equations._MOST_COLUMNS", 0)
+    alone = left_out_residuals(fit, solution, folds)
+
+    for (one,), (other,) in zip(together, alone, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-8 * NOISE)
+
+
 @pytest.mark.long
 def test_folds_of_parallel_axes_are_fitted_to_their_end(tmp_path: Path) -> None:
     """Base and tool of a planar arm move along its axes together; the errors are those of fits of the other rows."""

@@ -269,11 +269,10 @@ def _along_levers(of_drives: np.ndarray, levers: np.ndarray) -> np.ndarray:
     """Return the kernel of errors of drives, shape (3N, 3N), for their correlation, shape
     (n, N, N), and levers, shape (n, N, 3).
     """
-    found = np.zeros((3, levers.shape[1], 3, levers.shape[1]))
-    for alike_at, lever in zip(of_drives, np.swapaxes(levers, 1, 2), strict=True):
-        # Poses last, which NumPy passes through fastest.
-        found += lever[:, :, None, None] * (alike_at[:, None, :] * lever)
-    return found.transpose(1, 0, 3, 2).reshape(3 * levers.shape[1], -1)
+    n, N, _ = levers.shape
+    # Of each pose with all others, drive by drive.
+    across = (of_drives.transpose(1, 0, 2)[..., None] * levers).reshape(N, n, 3 * N)
+    return np.asarray(levers.transpose(1, 2, 0) @ across).reshape(3 * N, 3 * N)
 
 
 def _kernel(

@@ -107,9 +107,11 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
     covariance = z @ z.T / z.shape[1]
     variance = max(float(np.sum(covariance**2)), 1e-300)
     found = [0.0]
+    # With zeros behind each component, all of them are one row, of which no part is copied.
+    row = np.pad(z, ((0, 0), (0, _BANDS[-1][1]))).ravel()
     for first, last in _BANDS:
         lags = range(first, min(last, n - 1) + 1)
-        products = sum(float(np.vdot(z[:, lag:], z[:, :-lag])) for lag in lags)
+        products = sum(float(row[lag:] @ row[:-lag]) for lag in lags)
         pairs = sum(n - lag for lag in lags)
         # Centred residuals in any order agree by -1 / (n - 1).
         expected = -float(np.trace(covariance)) * pairs / (n - 1)

@@ -8,7 +8,7 @@ result does not depend on the executor, but for rounding where it decides whethe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.identify.jacobian import block, span
+from pincal.identify.jacobian import Jacobian, block, span
 from pincal.identify.normal import (
     Batch,
     Normal,
@@ -46,6 +46,8 @@ _Sums = tuple[tuple[Form, Eliminated], StationSquares]
 _MOST_KEPT: Count = 2_000_000
 _MOST_OF_FEW: Count = 64_000_000
 _FEW: Count = 10
+# Largest number of numbers in the columns of a station that are kept (16 MB).
+_MOST_COLUMNS: Count = 2_000_000
 # Size of the normal equations of folds that are summed at once [bytes].
 _MOST_AT_ONCE: Count = 64_000_000
 
@@ -361,11 +363,9 @@ class Linearised:
             Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed
         )
 
-    def without_each(
-        self, fold: np.ndarray, sigma: np.ndarray
-    ) -> Iterator[tuple[Posterior, Posterior]]:
-        """Yield the posterior of all rows, and that without the rows of each fold, from one pass
-        over all rows; from two if the equations of all folds are too large to be kept together.
+    def without_each(self, fold: np.ndarray, sigma: np.ndarray) -> Iterator[WithoutFolds]:
+        """Yield the posteriors without the rows of each fold, of as many folds at once as can be
+        kept together: of all of them from one pass over the rows, or else from two.
 
         Args:
             fold: shape (N,), the fold of each row, from 0.
@@ -385,8 +385,24 @@ class Linearised:
             ]
             if whole is None:
                 whole = self._assembled(part.all_rows for part in parts)
-            for i in range(len(some)):
-                yield whole, self._assembled(part.without(i) for part in parts)
+            yield WithoutFolds(self, some, whole, parts)
+
+    @cached_property
+    def columns(self) -> tuple[np.ndarray, Jacobian] | None:
+        """Residuals and Jacobian of all rows of a single station, neither weighted nor whitened,
+        for sums over several divisions of its rows; None where rows are many or not independent, or
+        parameters are of curves.
+        """
+        station, *others = self.problem.stations
+        size = len(station) * station.reading_size * np.count_nonzero(self.free)
+        is_plain = station.whitening is None and not station.is_correlated
+        if others or not is_plain or station.sensor.is_whole or size > _MOST_COLUMNS:
+            return None
+        (places,) = self.problem.places
+        at = self.values[places], self.free[places]
+        pieces = list(station.linearise_correlated(*at))
+        _, residuals, jacobian = pieces[0]
+        return None if len(pieces) > 1 or jacobian.families else (residuals, jacobian)
 
     def _of_all_rows(self, batch: Batch, sigma: np.ndarray) -> Form:
         """Return the information of all rows of each station of a batch."""
@@ -412,8 +428,12 @@ class Linearised:
         is_apart = not (together.sensor.is_whole or together.is_correlated)
         order, ends = _rows_of_parts(batch, fold, some, alone=is_apart and known is not None)
         robust = self.robust[batch.rows][order]
-        noise = np.repeat(sigma[batch.blocks].reshape(n, -1), (len(ends) - 1) // n, axis=0)
-        found, _ = accumulate_at(together.select(order), ends, values, may, robust, noise)
+        if self.columns is not None:
+            scale = np.repeat(1.0 / sigma, together.block_sizes)[:, None] * together.weights[order]
+            found = _sums_of_parts(*self.columns, order, ends, scale * robust)
+        else:
+            noise = np.repeat(sigma[batch.blocks].reshape(n, -1), (len(ends) - 1) // n, axis=0)
+            found, _ = accumulate_at(together.select(order), ends, values, may, robust, noise)
         of_part = Form.of(_by_part(found.H, n), _by_part(found.g, n))
         if known is None:
             form = Form.of(of_part.H.sum(axis=1), of_part.g.sum(axis=1))
@@ -497,6 +517,43 @@ class _Folded:
         return eliminate(form, *self.prior)
 
 
+@dataclass(frozen=True, eq=False)
+class WithoutFolds:
+    """A problem without the rows of each of some folds.
+
+    Attributes:
+        point: the problem at the values of all rows.
+        folds: the numbers of the folds.
+        whole: the posterior of all rows.
+        parts: the contribution of each batch of stations.
+    """
+
+    point: Linearised
+    folds: range
+    whole: Posterior
+    parts: Sequence[_Folded]
+
+    def posterior(self, fold: int) -> Posterior:
+        """Return the posterior without a fold."""
+        i = fold - self.folds.start
+        return self.point._assembled(part.without(i) for part in self.parts)
+
+    @property
+    def together(self) -> Posterior | None:
+        """The posteriors without each fold, with a leading axis; None where parameters of stations
+        are eliminated.
+        """
+        whole = self.whole
+        if whole.own or len(self.parts) > 1:
+            return None
+        (part,) = self.parts
+        H = part.H[0, : len(self.folds)]
+        g = part.g[0, : len(self.folds)]
+        lost = np.diagonal(H, axis1=-2, axis2=-1)
+        form = Form(whole.form.H - H, whole.form.g - g, whole.form.whole - lost)
+        return Posterior(form, whole.sizes, whole.offsets)
+
+
 def _with_beliefs(form: Form, station: Station, values: np.ndarray, free: np.ndarray) -> Form:
     """Return the information of stations, with a leading axis, and what the sensor of a single one
     knows besides its readings.
@@ -525,6 +582,30 @@ def _rows_of_parts(
         order = order[part[order] < k]
         sizes = sizes[:, :k]
     return order, np.cumsum([0, *sizes.ravel()])
+
+
+def _sums_of_parts(
+    residuals: np.ndarray,
+    jacobian: Jacobian,
+    order: np.ndarray,
+    ends: np.ndarray,
+    weights: np.ndarray,
+) -> Form:
+    """Return the information of parts of the rows of a station.
+
+    Args:
+        residuals: of all rows, shape (m, N).
+        jacobian: of all rows.
+        order: the rows of the parts, one after the other, shape (n,).
+        ends: boundaries of the parts.
+        weights: of the readings of these rows, shape (m, n).
+    """
+    n_parts = len(ends) - 1
+    H = np.zeros((n_parts, jacobian.size, jacobian.size))
+    g = np.zeros((n_parts, jacobian.size))
+    part = replace(jacobian, dense=jacobian.dense[:, :, order])
+    part.add_grams(residuals[:, order], ends, H, g, weights=weights)
+    return Form.of(H, g)
 
 
 def _by_part(sums: np.ndarray, stations: int) -> np.ndarray:

@@ -166,7 +166,12 @@ class Jacobian:
         """Return the motion of the readings, shape (m, n), at each pose by one of R steps, shape
         (F, R), which is given by its index, shape (n,).
         """
-        return np.asarray(self.along(steps)[which, :, np.arange(len(which))].T)
+        at = np.arange(len(which))
+        if self.families:
+            return np.asarray(self.along(steps)[which, :, at].T)
+        # As the columns are stored, without a copy of them.
+        moved = steps[self.places].T @ self.dense.reshape(len(self.dense), -1)
+        return np.asarray(moved.reshape(-1, *self.dense.shape[1:])[which, :, at].T)
 
     def add_grams(
         self,

@@ -407,6 +407,37 @@ class Posterior:
         step[frames] = inverse @ g[frames] - F @ step[prior]
         return step
 
+    def steps_of_each(self) -> np.ndarray | None:
+        """Return the steps of S posteriors with the same priors, shape (S, F), by Cholesky factors;
+        None where rounding forbids one.
+        """
+        prior, frames = self._parts
+        inverse, *_ = self._frames
+        F = self._follow
+        H = self.form.H
+        g = self.form.g
+        if not len(prior):
+            return _times(inverse, g)
+        if np.any(self._floor > _ROUNDING):
+            return None
+        D = self.sizes[prior]
+        at = span(prior)
+        S = H[:, at, at] if isinstance(at, slice) else np.take(np.take(H, at, axis=1), at, axis=2)
+        S = S - H[..., prior[:, None], frames] @ F
+        S *= D
+        S *= D[:, None]
+        S[:, range(len(D)), range(len(D))] += 1.0
+        reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
+        reduced -= self.offsets[prior] / D
+        step = np.empty_like(g)
+        for of_one, precision, slope in zip(step, S, reduced, strict=True):
+            factor, failed = dpotrf(precision.T, lower=1, overwrite_a=1)
+            if failed:
+                return None
+            of_one[prior] = D * dpotrs(factor, slope, lower=1)[0]
+        step[..., frames] = _times(inverse, g[..., frames]) - _times(F, step[..., prior])
+        return step
+
     @cached_property
     def has_prior(self) -> np.ndarray:
         """Which parameters have a prior, shape (F,); the same for all stations."""

@@ -35,6 +35,8 @@ _STEPS: tuple[Scale, ...] = (
 )
 _OF_STEP: Scale = 1e-3
 _DIGITS: Count = 9
+# Positions that show of nearly every joint that it is not rounded.
+_FIRST: Count = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +80,8 @@ class JointColumns:
         far &= self._outside | ~np.isfinite(self.low) | ~np.isfinite(self.high)
         is_far = far.any(axis=0)
         is_usual = far.mean(axis=0) > JOINT_COLUMNS.many
-        self._refuse_units(is_far & (is_usual | self._is_in_small_unit))
+        if is_far.any():
+            self._refuse_units(is_far & (is_usual | self._is_in_small_unit))
         if not self._outside.any():
             return
         swaps = [one.words for one in explaining(self._exchanges(), self._ends, self._holds)]
@@ -218,8 +221,14 @@ def steps_of(q: np.ndarray) -> np.ndarray:
 
 
 def _is_in_steps(q: np.ndarray, step: float) -> bool:
-    """Return whether positions are multiples of a step, to a small part of it."""
-    return bool(np.abs(q / step - np.round(q / step)).max(initial=0.0) < _OF_STEP)
+    """Return whether positions are multiples of a step, to a small part of it.
+
+    The first of them show of nearly all joints that they are not.
+    """
+    return all(
+        np.abs(some / step - np.round(some / step)).max(initial=0.0) < _OF_STEP
+        for some in (q[:_FIRST], q)
+    )
 
 
 def _in_small_unit(i: int, name: str, slides: bool) -> _Columns:
