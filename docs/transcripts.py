@@ -12,6 +12,7 @@ import contextlib
 import io
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -19,6 +20,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
 from pincal.cli import main
 from pincal.errors import Exit
@@ -85,11 +87,16 @@ def _commands(text: str) -> list[str]:
 
 def _printed(command: str) -> str:
     """Run a command, and return it with what it printed."""
-    # The first lines of a command are taken here: a process for a pipe would import everything anew.
+    # A process of its own would import everything anew. The first lines of a command, a file that holds words of a command,
+    # and a file for what an example prints are therefore taken care of here.
     asked, _, count = command.partition(" | head -n ")
+    asked = re.sub(r"\$\(cat (\S+)\)", lambda file: Path(file[1]).read_text(encoding="utf-8").strip(), asked)
     words = shlex.split(asked.replace("\\\n", " "), comments=True)
+    text = ""
     if words[0] == "pincal" and "$(" not in asked and "|" not in words:
         text = "".join(_called(words[1:]).splitlines(keepends=True)[: int(count) if count else None])
+    elif example := re.fullmatch(r"python (examples/\S+) > (\S+)", command):
+        Path(example[2]).write_text(_ran(example[1]), encoding="utf-8")
     else:
         shell = f'pincal() {{ {shlex.quote(sys.executable)} -m pincal "$@"; }}; {command}'
         done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
@@ -97,6 +104,14 @@ def _printed(command: str) -> str:
         text = done.stdout
     lines = [line.rstrip() for line in text.splitlines()]
     return "\n".join([f"$ {command}", *lines, ""])
+
+
+def _ran(script: str) -> str:
+    """Return what a script prints, run in this process."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), patch.object(sys, "argv", [script]):
+        runpy.run_path(script, run_name="__main__")
+    return out.getvalue()
 
 
 def _called(words: list[str]) -> str:

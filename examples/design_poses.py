@@ -15,7 +15,7 @@ import argparse
 
 import numpy as np
 
-from pincal import DesignRequest, Options, Robot, calibrate, design_poses, measurements_from_arrays
+from pincal import DesignRequest, Measurements, Options, Robot, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.design.pose_design import Design
 from pincal.design.reach import Limits, Reach, SensorSetup
@@ -51,14 +51,15 @@ def positions(machine: TrueMachine, q: np.ndarray, rng: np.random.Generator | No
     return np.column_stack([table[axis] for axis in "xyz"])
 
 
-def error_held_out(machine: TrueMachine, q: np.ndarray, held_out: np.ndarray, rng: np.random.Generator) -> float:
+def table(q: np.ndarray, position: np.ndarray) -> Measurements:
+    """Return the rows of a target at poses q, the load on the tool."""
+    return measurements_from_arrays(ROBOT.joint_names, q, position=position, payload=np.full(len(q), LOAD))
+
+
+def error_held_out(machine: TrueMachine, q: np.ndarray, held_out: Measurements, rng: np.random.Generator) -> float:
     """Calibrate from poses q, and return the error of the position at poses held out, root mean square [m]."""
-    rows, test = (
-        measurements_from_arrays(ROBOT.joint_names, poses, position=found, payload=np.full(len(poses), LOAD))
-        for poses, found in ((q, positions(machine, q, rng)), (held_out, positions(machine, held_out)))
-    )
-    fit = calibrate(ROBOT, rows, OPTIONS)
-    return float(np.sqrt(np.mean(np.sum(fit.readings(test).residuals(fit.values) ** 2, axis=0))))
+    fit = calibrate(ROBOT, table(q, positions(machine, q, rng)), OPTIONS)
+    return float(np.sqrt(np.mean(np.sum(fit.readings(held_out).residuals(fit.values) ** 2, axis=0))))
 
 
 def realised(reach: Reach, design: Design, draws: int) -> np.ndarray:
@@ -70,7 +71,8 @@ def realised(reach: Reach, design: Design, draws: int) -> np.ndarray:
         rng = np.random.default_rng([3, seed])
         machine = draw_machine(rng)
         drawn = pool[rng.choice(len(pool), len(design.q), replace=False)]
-        errors.append([error_held_out(machine, q, held_out, rng) for q in (design.q, drawn)])
+        truth = table(held_out, positions(machine, held_out))
+        errors.append([error_held_out(machine, q, truth, rng) for q in (design.q, drawn)])
     return np.asarray(np.median(errors, axis=0))
 
 

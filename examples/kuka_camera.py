@@ -15,7 +15,9 @@ several threads; with --draws 40 the ratios are known to a tenth.
 from __future__ import annotations
 
 import argparse
+from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -52,6 +54,10 @@ def frame(angles: tuple[float, ...], place: tuple[float, ...]) -> np.ndarray:
 
 T_TIP_CAMERA = frame((0.1, -0.2, 0.7), (0.08, 0.0, 0.12))
 T_BASE_OBJECT = frame((0.03, -0.02, 0.4), (1.5, 0.2, 0.9))
+
+
+# Joint positions, shape (N, 6), and the field of the object that each sees, shape (N,).
+Plan = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -104,14 +110,14 @@ class Machine:
     def drawn(cls, rng: np.random.Generator) -> Machine:
         """Draw a robot from the priors of the calibration: 3 mm, 3 mrad, and at most 1 mrad of deflection."""
         geometry = {name: tuple(np.array(row) + rng.normal(0.0, SPREAD, 6)) for name, row in NOMINAL.items()}
-        largest = np.abs(paper_moments(plan(VIEWS, np.random.default_rng(0))[0], geometry=NOMINAL)).max(axis=0)[:3]
+        largest = largest_moments()
         constants = rng.normal(0.0, BENDING / np.maximum(largest, 0.1 * largest.max()))
         return cls(
             geometry, {f"k_{axis}": (*column, 0.0, 0.0, 0.0) for axis, column in zip("xyz", constants.T, strict=True)}
         )
 
 
-def plan(views: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def plan(views: int, rng: np.random.Generator) -> Plan:
     """Return joint positions in which the nominal robot sees each field, and the field that each sees."""
     places = OBJECT.places @ T_BASE_OBJECT[:3, :3].T + T_BASE_OBJECT[:3, 3]
     found = []
@@ -123,9 +129,27 @@ def plan(views: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack(found), np.repeat(np.arange(OBJECT.n_fields), views)
 
 
-def measure(
-    case: Case, views: tuple[np.ndarray, np.ndarray], robot: Machine, noise: np.random.Generator | None = None
-) -> Measurements:
+@cache
+def largest_moments() -> np.ndarray:
+    """Return the largest moments of each elastic joint about x, y and z in some views, shape (3, 3) [N m]."""
+    return np.asarray(np.abs(paper_moments(plan(VIEWS, np.random.default_rng(0))[0], geometry=NOMINAL)).max(axis=0)[:3])
+
+
+@cache
+def planned(seed: int) -> tuple[Plan, Plan]:
+    """Return views to fit and others to predict; all cases have the same."""
+    rng = np.random.default_rng(seed)
+    return plan(VIEWS, rng), plan(OTHER, rng)
+
+
+@cache
+def drawn(seed: int) -> tuple[Machine, Plan, Plan, np.random.Generator]:
+    """Return a robot, views to fit and others to predict, which all cases have, and the source of numbers after these."""
+    rng = np.random.default_rng([1, seed])
+    return Machine.drawn(rng), plan(VIEWS, rng), plan(OTHER, rng), rng
+
+
+def measure(case: Case, views: Plan, robot: Machine, noise: np.random.Generator | None = None) -> Measurements:
     """Return the camera's readings of the points of the field in view; exact without a source of noise."""
     q, fields = views
     flange = paper_transform(q, geometry=robot.geometry, elasticity=robot.elasticity)
@@ -161,8 +185,7 @@ def without_noise(case: Case, seeds: int) -> None:
     """Fit exact readings of twelve images and predict others."""
     worst, nominal, steps = 0.0, 0.0, 0
     for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        measured, other = measure(case, plan(VIEWS, rng), Machine()), measure(case, plan(OTHER, rng), Machine())
+        measured, other = (measure(case, views, Machine()) for views in planned(seed))
         found = fitted(ROBOT, measured, case.options(None))
         worst, steps = max(worst, errors(found, other).max()), max(steps, found.fit.iterations)
         nominal = max(nominal, errors(found, other, found.fit.nominal.values).max())
@@ -173,9 +196,8 @@ def with_noise(case: Case, draws: int) -> None:
     """Fit readings with noise, each time of another robot, and compare the held-out error with the covariance."""
     squares, expected, chi2 = [], [], []
     for seed in range(draws):
-        rng = np.random.default_rng([1, seed])
-        robot = Machine.drawn(rng)
-        measured, other = measure(case, plan(VIEWS, rng), robot, rng), measure(case, plan(OTHER, rng), robot)
+        robot, views, others, rng = drawn(seed)
+        measured, other = measure(case, views, robot, deepcopy(rng)), measure(case, others, robot)
         found = fitted(ROBOT, measured, case.options(case.sigma))
         squares.append(np.mean(found.readings(other).residuals(found.values) ** 2))
         expected.append(foretold(found, other) ** 2)

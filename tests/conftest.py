@@ -16,6 +16,8 @@ from typing import Any
 os.environ["PINCAL_CELL"] = "none"
 # One thread a process, as several run at once; read when NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# What other packages add to Hypothesis, such as trio, no test uses; read when it is loaded.
+os.environ.setdefault("HYPOTHESIS_NO_PLUGINS", "1")
 
 import numpy as np
 import pytest

@@ -421,9 +421,9 @@ def via_path(truth: Truth, found: MotionDesign) -> ViaPath:
     return ViaPath(found.time, np.column_stack([q[name] for name in truth.machine.names]))
 
 
-def vouched(truth: Truth) -> float:
+def vouched(truth: Truth, fit: pincal.FittedRobot | None = None) -> float:
     """Return the error of the tool that a fit by an IMU alone foresees by what it releases, base and tool placed [mm]."""
-    fit = calibrated(truth, truth.tables())
+    fit = calibrated(truth, truth.tables()) if fit is None else fit
     cared = pincal.Conditions.at(truth.robot.random_configurations(200, np.random.default_rng(0)))
     design = DesignModel.of(truth.robot, cared, GEOMETRY, SensorSetup())
     J = design.placed_errors(cared) / design.units[design.has_prior]

@@ -16,7 +16,7 @@ from pincal.viewer import build_scene, show, write_html
 ROOMS = pytest.mark.rooms("pincal/viewer", "tests/test_viewer.py")
 # What the issue allows a page of 10000 arrows.
 MANY, BYTES, SECONDS = 10_000, 20e6, 5.0
-# How often both pages are opened, in turns.
+# How often both pages are opened, in turns, at most.
 OPENINGS = 3
 
 
@@ -187,8 +187,9 @@ def test_ten_thousand_arrows_are_quick(browser: Any, ur10: Robot, rng: np.random
     size = write_html(tmp_path / "view.html", scene)
     few = build_scene(calibrated, measured(calibrated, rng, 10), grid=10)
     write_html(tmp_path / "few.html", few)
-    seconds = []
-    for _ in range(OPENINGS):
+    seconds = list[float]()
+    # What else the machine does only ever makes it slower: one quick opening shows what the page can do.
+    while len(seconds) < OPENINGS and min(seconds, default=np.inf) > SECONDS:
         # How busy the machine is just now: a page of ten arrows takes a second on an idle one.
         busy = opened(browser, (tmp_path / "few.html").as_uri())
         seconds.append(opened(browser, (tmp_path / "view.html").as_uri()) / max(busy, 1.0))
@@ -196,7 +197,6 @@ def test_ten_thousand_arrows_are_quick(browser: Any, ur10: Robot, rng: np.random
 
     assert max(len(layer.sizes) for layer in scene.fields.layers) == MANY
     assert size <= BYTES
-    # What else the machine does only ever makes it slower.
     assert min(seconds) <= SECONDS
     # One object a layer, not one an arrow.
     assert calls < 200

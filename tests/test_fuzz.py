@@ -123,8 +123,8 @@ def plain_rows(content: bytes) -> list[dict[str, float]] | None:
         return None
 
 
-# Mutations are drawn in four parts, one of which is tried before each commit, and the others before a release.
-PARTS = 4
+# Mutations are drawn in eight parts, one of which is tried before each commit, and the others before a release.
+PARTS = 8
 in_parts = pytest.mark.parametrize("part", [0, *(pytest.param(k, marks=pytest.mark.rates) for k in range(1, PARTS))])
 
 

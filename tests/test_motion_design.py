@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import run
-from motion_study import GEOMETRY, Truth, via_path, vouched
+from motion_study import GEOMETRY, Truth, calibrated, via_path, vouched
 
 from pincal import Options, Robot
 from pincal.design import motion_design
@@ -83,16 +83,22 @@ def test_a_chosen_motion_promises_more_than_a_random_one(chosen: MotionDesign) -
 
 @pytest.mark.long
 def test_fits_of_its_log_know_more_than_of_a_path_that_was_not_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on 7 of 8 arms and seeds (``motion_study.py chosen --seeds 4 --duration 60``); vibration is beyond the promise."""
+    """As on 7 of 8 arms and seeds (``motion_study.py chosen --seeds 4 --duration 60``), and as promised but for the noise.
+
+    The promise is of a noise of force and of one of rates; a fit finds others, vibration included, and what it foresees is
+    between the promise times the one ratio of noises and times the other.
+    """
     monkeypatch.setattr(motion_design, "_POSES", 31)
     truth = Truth.draw("kuka (6R)", 0, duration=60.0, vibration=0.1)
     found = design_motion(truth.robot, 60.0, GEOMETRY)
     driven = replace(truth, session=replace(truth.session, path=via_path(truth, found), duration=float(found.time[-1])))
-
-    left = vouched(driven)
+    fit = calibrated(driven, driven.tables())
+    left = vouched(driven, fit)
+    noises = fit.solution.sigma / found.noise[:2]
 
     assert left < 0.95 * vouched(truth)
-    assert 1.0 < left / (1e3 * found.error) < 1.5
+    assert noises.min() < 0.95 and noises.max() > 1.05
+    assert noises.min() < left / (1e3 * found.error) < noises.max()
 
 
 @pytest.mark.parametrize(
@@ -109,9 +115,25 @@ def test_what_can_not_be_driven_is_refused(robot: Robot, given: dict[str, object
         design_motion(robot, **{"duration": 10.0} | given)  # type: ignore[arg-type]
 
 
+def chosen_once() -> Callable[..., MotionDesign]:
+    """Return what chooses a motion when it is first called, and returns the same ever after."""
+    found = list[MotionDesign]()
+
+    def choose(*given: object, **more: object) -> MotionDesign:
+        if not found:
+            found.append(design_motion(*given, **more))  # type: ignore[arg-type]
+        return found[0]
+
+    return choose
+
+
 @pytest.mark.long
-def test_the_command_writes_a_motion_that_simulate_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_motion_that_simulate_drives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From the choice to a calibrated model, in four words each."""
+    # The choice is the same each time, and takes most of it.
+    monkeypatch.setattr(motion_design, "design_motion", chosen_once())
     out, day = tmp_path / "motion.csv", tmp_path / "day"
     assert run("design", "ur5", "--motion", "20s", "--model", "geometric", "--out", out) == 0
     assert "random:" in capsys.readouterr().out

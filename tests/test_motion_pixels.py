@@ -206,6 +206,7 @@ def test_a_camera_in_the_cell_is_read_in_motion(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("here")
 def test_images_go_through_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Beside an IMU and held tracker poses; another session validates the model."""
     folder, held = tmp_path / "monday", tmp_path / "eight.csv"

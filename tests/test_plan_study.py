@@ -151,8 +151,9 @@ def test_figures_are_met_or_missed() -> None:
 def test_a_study_of_plans_runs_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command says what is counted of it, and a second run asks nothing again."""
     monkeypatch.setattr(rows_study, "version", lambda: "v1")
-    tasks = [Task("once", 1, verb=verb) for verb in PLANS["once"].verbs]
+    tasks = [Task("once", 1, verb=verb) for verb in PLANS["once"].verbs if verb != "calibrate"]
     tasks += [Task(kind, 1, verb="calibrate") for kind in ("passes2_shift", "dwell3", "markers14")]
+    # One whose model is adequate, so that its intervals count.
     tasks += [Task("once", 1, verb="calibrate", arrival=0.0)]
     path = tmp_path / "plans.jsonl"
     found = study(tasks, path, workers=1)

@@ -242,7 +242,7 @@ def test_of_two_runs_at_once_one_wins_whole(tmp_path: Path, fork: multiprocessin
 
 @pytest.mark.long
 @pytest.mark.usefixtures("drawn")
-@pytest.mark.parametrize("kills", [5, pytest.param(16, marks=pytest.mark.rates)])
+@pytest.mark.parametrize("kills", [4, pytest.param(16, marks=pytest.mark.rates)])
 def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path, kills: int) -> None:
     """The command itself, killed at times from its start to its end: model.json and result.json are of one run."""
     from pincal.builtin import kuka_urdf_path
