@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 from discovery_cases import draw_case
+from msgspec import structs
 
 from pincal import GEOMETRIC, Options, Robot, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
 from pincal.diagnosis.robot_diagnosis import Diagnosis, diagnose
+from pincal.discover.discovery_file import EffectName
 from pincal.discover.run import Discovery, run_discovery
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import measurements_from_arrays
@@ -84,6 +87,19 @@ def discovered() -> Discovery:
     """Return a discovery of backlash."""
     case = draw_case("backlash", 3, n=160, arm="kuka", strength=200.0)
     return run_discovery(case.robot, case.rows, case.options)
+
+
+def discovered_many(n: int) -> Discovery:
+    """Return the same with n effects, each of which could be two others, as the page of a real arm has them."""
+    found = discovered()
+    first = found.findings.effects[0]
+    others = tuple(EffectName(effect="encoder_subdivision", joint="joint_2", order=order) for order in (141.35, 70.675))
+    more = {"equivalent": others, "tell_apart": "no further measurement of this kind distinguishes them; inspect the joint"}
+    kinds = ("backlash", "gear_ripple")
+    effects = [structs.replace(first, joint=f"joint_{k % 6 + 1}", effect=kinds[k % 2], **more) for k in range(n)]
+    steps = [structs.replace(found.gaps[-1], name=f"+ gear_ripple of shoulder_lift_joint order {k}") for k in range(n)]
+    findings = structs.replace(found.findings, effects=tuple(effects))
+    return replace(found, findings=findings, gaps=(found.gaps[0], *steps))
 
 
 def panda_run() -> Calibration:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from report_cases import HOSTILE, ORIGIN, discovered, drifted, hostile_run, kuka_run
+from report_cases import HOSTILE, ORIGIN, discovered, discovered_many, drifted, hostile_run, kuka_run
 
 from pincal import Robot
 from pincal.diagnosis.diagnosis_page import diagnosis_page
@@ -54,13 +54,14 @@ return [cut, small];
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory, kuka: Robot) -> dict[str, Path]:
-    """Write a report without held-out rows, one with hostile names, and one of a discovery."""
+    """Write a report without held-out rows, one with hostile names, and discoveries of one effect and of fourteen."""
     folder = tmp_path_factory.mktemp("reports")
-    found = discovered()
+    found, many = discovered(), discovered_many(14)
     subjects = {
         "plain": Subject(kuka_run(kuka, test_fraction=0.0), ORIGIN, ("a note",)),
         "hostile": Subject(hostile_run(), ORIGIN, ("a note",)),
         "found": Subject(found.calibration, ORIGIN, (), SearchAnswer(found)),
+        "many": Subject(many.calibration, ORIGIN, (), SearchAnswer(many)),
     }
     for name, subject in subjects.items():
         (folder / f"{name}.html").write_text(report_page(subject), encoding="utf-8")
@@ -102,7 +103,7 @@ def test_it_loads_in_silence_and_by_itself(browser: Any, pages: dict[str, Path],
 
 @pytest.mark.long
 @ROOMS
-@pytest.mark.parametrize("name", ["plain", "hostile", "found"])
+@pytest.mark.parametrize("name", ["plain", "hostile", "found", "many"])
 @pytest.mark.parametrize("size", SIZES)
 def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str, size: str) -> None:
     """The page does not scroll sideways, folded or not; labels of figures are whole and of a readable size."""
@@ -141,9 +142,9 @@ def test_a_diagnosis_fits_a_phone(browser: Any, kuka: Robot, tmp_path: Path) -> 
 
 @pytest.mark.long
 @ROOMS
-@pytest.mark.parametrize("name", ["plain", "hostile", "found"])
+@pytest.mark.parametrize("name", ["plain", "hostile", "found", "many"])
 def test_it_is_short_on_a_phone(browser: Any, pages: dict[str, Path], name: str) -> None:
-    """Under ten screens."""
+    """Under ten screens, however many effects were found."""
     show(browser, pages[name], "phone")
     length = browser.execute_script("return document.documentElement.scrollHeight")
     assert length < 10 * SIZES["phone"][1]

@@ -30,7 +30,7 @@ from pincal.errors import PincalWarning, RobotFileError
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.conditions import Conditions
-from pincal.model.effects import ELASTIC, GEOMETRIC
+from pincal.model.effects import ELASTIC, GEOMETRIC, BearingElasticity, JointElasticity
 from pincal.model.model import Model
 from pincal.model.sparse_basis import dense_rows
 from pincal.robot.robot import Robot
@@ -335,6 +335,31 @@ def test_drives_bear_what_the_potential_energy_costs(
         slope = (energy(conditions.q + step) - energy(conditions.q - step)) / (2.0 * h)
         np.testing.assert_allclose(moments[:, i], -slope, atol=1e-7 * np.abs(moments).max(), err_msg=joint)
         assert joint not in looped.passive or not moments[:, i].any()
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_part_of_a_compliance_has_a_parameter_which_the_whole_has(name: str) -> None:
+    """Joints that loops make inert have none, and a compliance of no joints has no part; a search took the first of none."""
+    urdf, tip = ROBOTS[name]
+    chain = Chain.of(Robot.from_urdf(urdf("constraint"), tip=tip))
+    for effect in (JointElasticity(), BearingElasticity()):
+        parts = effect.parts(chain)
+        together = [p.name for part in parts for p in part.parameters(chain)]
+
+        assert all(part.parameters(chain) for part in parts)
+        assert sorted(together) == sorted(p.name for p in effect.parameters(chain))
+        assert replace(effect, joints=()).parts(chain) == ()
+
+
+@pytest.mark.long
+def test_a_search_on_loops_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command on a palletizer finds the elasticity of its drives; it ended in an internal error."""
+    (tmp_path / "robot.urdf").write_bytes(palletizer("constraint"))
+    robot, table = tmp_path / "robot.urdf", tmp_path / "rows.csv"
+    noise = ("--noise", "0.05mm")
+    assert run("simulate", robot, "--poses", 120, "--seed", 1, *noise, "--out", table, "--quiet") == 0
+    found = run("discover", robot, table, *noise, "--stability", 0, "--out", tmp_path / "found", "--quiet")
+    assert found == 0 and "joint_elasticity" in capsys.readouterr().out
 
 
 def test_names_of_parameters_are_those_that_loops_leave(looped: Robot) -> None:

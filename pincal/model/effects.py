@@ -274,10 +274,10 @@ class Compliance(Discoverable):
 
     @final
     def parts(self, chain: Chain) -> tuple[Self, ...]:
-        """Return the compliance of each joint by itself."""
-        return tuple(
-            replace(self, joints=(joint,)) for joint in self.joints or chain.robot.measured_joints
-        )
+        """Return the compliance of each joint by itself, of those on which it has a meaning."""
+        joints = chain.robot.measured_joints if self.joints is None else self.joints
+        parts = (replace(self, joints=(joint,)) for joint in joints)
+        return tuple(part for part in parts if part._places(chain))
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:

@@ -30,6 +30,7 @@ from pincal.calibration.result_tables import (
 from pincal.errors import counted, few
 from pincal.identify.choices import FoundMoments, found_moments
 from pincal.identify.explain import Status
+from pincal.notes import Note
 from pincal.parameters import FRAME_SYMBOLS, split_name
 from pincal.report.blocks import (
     RESULT,
@@ -119,9 +120,18 @@ def summary(subject: Subject) -> Section:
         columns,
         paragraph(_stated_by(subject)),
         *_elsewhere(subject),
-        *plain_notes(result.warnings),
+        *_notes(result.warnings),
     )
     return Section("summary", "Result", blocks, style="panel")
+
+
+def _notes(found: Sequence[Note]) -> Iterator[PageBlock]:
+    """Yield the notes that are no doubts, folded where there are several."""
+    notes = [*plain_notes(found)]
+    if len(notes) > 1:
+        yield folded(counted(len(notes), "note"), *notes)
+    else:
+        yield from notes
 
 
 def _headlines(subject: Subject) -> Iterator[Markup]:
@@ -327,21 +337,19 @@ def setup(subject: Subject) -> Section:
     result = subject.result
     robot = subject.calibration.robot
     effects = dict.fromkeys(effect.name for effect in calibration.fit.options.effects)
+    meanings = (rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects)
     items = (
         ("robot", _arm(robot)),
-        ("joints", merged(map(code, robot.joint_names), ", ")),
         ("data", _data(subject)),
-        (
-            "model",
-            merged((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; "),
-        ),
-        (
-            "fit",
-            _fit_words(result),
-        ),
         ("3D view", _view(subject)),
     )
-    return Section("subject", "Robot, data and model", (facts(items),))
+    more = (
+        ("joints", merged(map(code, robot.joint_names), ", ")),
+        ("model", merged(meanings, "; ")),
+        ("fit", _fit_words(result)),
+    )
+    blocks = (facts(items), folded("Joints, model and fit", facts(more)))
+    return Section("subject", "Robot, data and model", blocks)
 
 
 def _fit_words(result: Result) -> Markup:
@@ -434,11 +442,19 @@ def accuracy(subject: Subject) -> Section:
         blocks += [heading("Clocks", "clocks"), paragraph(_CLOCKS), clock_table(result.clocks)]
     blocks += [
         error_table(result.error, only=leading),
-        figures("accuracy", error_drawings(subject.readings[:1])),
+        *_distributions(subject),
         *_other_readings(subject, [unit for unit in ERROR_UNITS if unit not in leading]),
         *_replicates(result),
     ]
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
+
+
+def _distributions(subject: Subject) -> Iterator[PageBlock]:
+    """Yield how the errors of the first readings are distributed, all but one figure folded."""
+    first, *others = error_drawings(subject.readings[:1])
+    yield figures("accuracy", [first])
+    if others:
+        yield folded("Further figures of these errors", figures("distribution", others))
 
 
 def _meaning_of_errors(result: Result) -> Markup:
@@ -691,7 +707,7 @@ def parameters(subject: Subject) -> Section:
         "predictions at poses like these do not depend on it."
     )
     blocks: list[PageBlock] = [
-        figures("correction", correction_drawings(result.parameters)),
+        *_corrections(subject),
         folded("What the symbols mean", paragraph(symbols)),
         *_parameter_tables(result.parameters, subject.calibration.fit.fit.problem.is_shared),
     ]
@@ -707,6 +723,13 @@ def parameters(subject: Subject) -> Section:
             paragraph("Strong correlations: none above 0.9 between identified parameters.", "mute")
         )
     return Section("parameters", "Parameters", tuple(blocks), "Parameters")
+
+
+def _corrections(subject: Subject) -> Iterator[PageBlock]:
+    """Yield the largest corrections as figures, folded where a search has said what was wrong."""
+    drawn = figures("correction", correction_drawings(subject.result.parameters))
+    is_told = subject.search is not None
+    yield folded("The largest corrections", drawn) if is_told and drawn else drawn
 
 
 def _parameter_tables(

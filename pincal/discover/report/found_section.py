@@ -26,7 +26,7 @@ from pincal.discover.report.found_words import (
     subsample_only_words,
 )
 from pincal.discover.run import Discovery
-from pincal.errors import few
+from pincal.errors import counted, few
 from pincal.report.blocks import (
     PageBlock,
     Section,
@@ -55,6 +55,8 @@ from pincal.units import (
 
 # An effect with more parameters than this is a curve; its numbers are in discovery.json.
 _FEW: Count = 4
+# Effects of which a page shows a card each, before the rest is folded.
+_CARDS: Count = 10
 
 
 FOUND = "discovery.json#"
@@ -65,7 +67,8 @@ def found_section(discovery: Discovery) -> Section:
     """Return where model and data disagreed, which effects were found, and how the error fell."""
     found = discovery.findings
     blocks: list[PageBlock] = [
-        paragraph(_of_the_search(discovery)),
+        paragraph(_noise_of_the_search(discovery)),
+        folded("How effects were searched for", paragraph(_SEARCH)),
         *_located(found),
         heading("Effects found"),
         *_named(found),
@@ -92,8 +95,15 @@ def found_section(discovery: Discovery) -> Section:
     return Section("missing", "What was missing", tuple(blocks), "What was missing")
 
 
-def _of_the_search(discovery: Discovery) -> Markup:
-    """Return how a search works, and the noise at which it stopped."""
+_SEARCH = (
+    "The search starts from a simple model, locates where model and data disagree, names the "
+    "effect that explains most, adds it, refits the whole model, and stops when only noise is "
+    "left. A named effect fits the data; this does not prove it to be the cause."
+)
+
+
+def _noise_of_the_search(discovery: Discovery) -> Markup:
+    """Return the noise at which a search stopped."""
     found = discovery.findings
     is_declared = discovery.calibration.fit.fit.is_declared
     noise = (
@@ -106,15 +116,7 @@ def _of_the_search(discovery: Discovery) -> Markup:
     beyond = rich("; {} rms remain beyond it", sourced(left, f"{FOUND}/unexplained_mm"))
     if not float(left.split()[0]):
         beyond = rich("; no more than it remains")
-    return rich(
-        "The search starts from a simple model, locates where model and data disagree, names the "
-        "effect that explains most, adds it, refits the whole model, and stops when only noise is "
-        "left. {} amounts to {} rms{}. A named effect fits the data; this does not prove it to be "
-        "the cause.",
-        noise,
-        floor,
-        beyond if is_declared else "",
-    )
+    return rich("{} amounts to {} rms{}.", noise, floor, beyond if is_declared else "")
 
 
 def _located(found: Findings) -> list[PageBlock]:
@@ -185,27 +187,35 @@ def _smooth(found: Findings) -> Iterator[PageBlock]:
 
 def _named(found: Findings) -> Iterator[PageBlock]:
     """Yield the effects, hints separately, and in how many subsamples each is found."""
+    explained = set[str]()
     sure, hints = (
         tuple(
-            _card(k, entry, _step(found, entry))
+            _card(k, entry, _step(found, entry), explained)
             for k, entry in enumerate(found.effects)
             if entry.is_hint == is_hint
         )
         for is_hint in (False, True)
     )
     if sure or not hints:
-        yield arranged("cards", *sure) if sure else paragraph(no_effect_words(found))
+        yield from _cards(sure) if sure else (paragraph(no_effect_words(found)),)
     if hints:
         yield paragraph(
             f"{HINTS}. They are in the model, but do not order spare parts because of them.", "care"
         )
-        yield arranged("cards", *hints)
+        yield from _cards(hints)
     if found.only_in_halves:
         yield paragraph(f"{subsample_only_words(found)}.", "note")
     if found.bootstrap:
         yield paragraph(bootstrap_words(found.bootstrap), "mute")
     if drawings := [*stability_drawings(found)]:
         yield figures("stability", drawings)
+
+
+def _cards(cards: Sequence[Markup]) -> Iterator[PageBlock]:
+    """Yield cards side by side, all but the first ones folded."""
+    yield arranged("cards", *cards[:_CARDS])
+    if rest := cards[_CARDS:]:
+        yield folded(counted(len(rest), "further effect"), arranged("cards", *rest))
 
 
 def _step(found: Findings, entry: FoundEffect) -> tuple[FoundEffect, ...]:
@@ -220,7 +230,7 @@ def _step(found: Findings, entry: FoundEffect) -> tuple[FoundEffect, ...]:
     )
 
 
-def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
+def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect], explained: set[str]) -> Markup:
     """Return a card of the k-th effect with its parameters, the change of the error, and the
     alternatives.
 
@@ -228,33 +238,44 @@ def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
         k: its place among the effects.
         entry: the effect.
         others: what entered the model together with it.
+        explained: effects whose meaning another card gives already; this one's is added.
     """
-    values = entry.parameters
     at = f"{FOUND}/effects/{k}"
-    lines = (
-        rich('{} = <span class="nw">{}</span>', code(name), _measured(p, f"{at}/parameters/{name}"))
-        for name, p in values.items()
-    )
-    shown = merged(lines, "<br>")
-    explained = _gain(at, entry, others)
     often = f" The search names it {entry.stability.words}." if entry.stability else ""
+    is_new = entry.effect not in explained
+    explained.add(entry.effect)
     blocks = [
-        paragraph(effect_meaning(entry.effect), "mute"),
-        paragraph(
-            shown
-            if len(values) <= _FEW
-            else f"a {'smooth function' if entry.shape == 'field' else 'curve'} with {len(values)} "
-            "parameters, see the figure"
-        ),
-        paragraph(merged((explained, rich("{}", often)), "")),
+        *([paragraph(effect_meaning(entry.effect), "mute")] if is_new else []),
+        paragraph(merged((_gain(at, entry, others), rich("{}", often)), "")),
     ]
-    if words := line_words(entry):
-        blocks.append(paragraph(f"{words[0].upper()}{words[1:]}."))
     if entry.equivalent:
         alternatives = "; ".join(effect_words(other) for other in entry.equivalent)
-        decide = f" To distinguish them: {entry.tell_apart}." if entry.tell_apart else ""
-        blocks.append(paragraph(f"Could also be: {alternatives}.{decide}", "care"))
-    return card(effect_words(entry), *blocks)
+        blocks.append(paragraph(f"Could also be: {alternatives}.", "care"))
+    return card(effect_words(entry), *blocks, folded("Values", *_values(at, entry)))
+
+
+def _values(at: str, entry: FoundEffect) -> Iterator[Markup]:
+    """Yield the values of the parameters of an effect, what its order suggests, and what would
+    distinguish it from its alternatives.
+    """
+    values = entry.parameters
+    if len(values) <= _FEW:
+        lines = (
+            rich(
+                '{} = <span class="nw">{}</span>',
+                code(name),
+                _measured(p, f"{at}/parameters/{name}"),
+            )
+            for name, p in values.items()
+        )
+        yield paragraph(merged(lines, "<br>"))
+    else:
+        kind = "smooth function" if entry.shape == "field" else "curve"
+        yield paragraph(f"a {kind} with {len(values)} parameters, see the figure")
+    if words := line_words(entry):
+        yield paragraph(f"{words[0].upper()}{words[1:]}.")
+    if entry.equivalent and entry.tell_apart:
+        yield paragraph(f"To distinguish it from its alternatives: {entry.tell_apart}.")
 
 
 def _gain(at: str, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
