@@ -186,15 +186,19 @@ class Station:
         if known is not None:
             return known
         found = self.model.predict(of_model, self.conditions.at_moments)
-        self._keep(of_model, found)
+        self.note_poses(of_model, found)
         return found
 
     @cached_property
     def _latest_poses(self) -> dict[bytes, np.ndarray]:
         return {}
 
-    def _keep(self, of_model: np.ndarray, poses: np.ndarray) -> None:
-        """Keep the poses at the latest values, if they are few."""
+    def knows_poses(self, of_model: np.ndarray) -> bool:
+        """Return whether these are the latest values of the model, whose poses are known."""
+        return of_model.tobytes() in self._latest_poses
+
+    def note_poses(self, of_model: np.ndarray, poses: np.ndarray) -> None:
+        """Keep the poses at the latest values of the model, if they are few."""
         self._latest_poses.clear()
         if len(poses) <= PIECE:
             self._latest_poses[of_model.tobytes()] = poses
@@ -422,7 +426,7 @@ class Station:
         model_free, own_free = self.split(free)
         model_free = model_free & part.model.affects_tip
         poses, motion, shared = part._motion_shared(of_model, model_free)
-        part._keep(of_model, poses)
+        part.note_poses(of_model, poses)
         curves = [
             (parameters, basis, i)
             for i, group in enumerate(shared)
