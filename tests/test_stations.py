@@ -537,6 +537,12 @@ def test_small_stations_are_evaluated_together(machine: sim.TrueMachine, kuka: R
         )
     )
     there = fit.values + np.where(free, fit.estimate.sigma, 0.0)
+    problem.batches[0].note_poses(there)
+    for station, places in list(zip(problem.stations, problem.places, strict=True))[:3]:
+        of_model = station.split(there[places])[0]
+        assert station.knows_poses(of_model)
+        alone = station.model.predict(of_model, station.conditions)
+        np.testing.assert_allclose(station.poses_read(of_model), alone, rtol=0.0, atol=1e-14)
     robust = np.where(np.arange(len(problem)) % 7 == 3, 0.25, 1.0)
     points = [Linearised(each, there, free, robust, sizes) for each in (problem, apart)]
     for one, other in zip(*(point.row_squares for point in points), strict=True):

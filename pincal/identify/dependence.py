@@ -177,6 +177,8 @@ def is_dependent(fit: ModelFit) -> bool:
     """Return whether the weighted residuals of a fit depend on the order of the rows at any
     station.
     """
+    for batch in fit.problem.batches:
+        batch.note_poses(fit.values)
     return any(station.dependence > CRITERIA.dependent for station in _fitted_stations(fit))
 
 

@@ -28,10 +28,11 @@ from pincal.model import kernels
 from pincal.model.chain import Chain
 from pincal.model.conditions import MOMENT, Conditions
 from pincal.model.effect import Effect, Family, Locus, Term
-from pincal.model.kernel_inputs import Payload, Values
+from pincal.model.kernel_inputs import Layout, Payload, Values
 from pincal.model.loops import borne_moments
 from pincal.model.model import Model
 from pincal.parameters import Parameter
+from pincal.robot.link_path import above
 
 
 @dataclass(frozen=True)
@@ -130,11 +131,13 @@ def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[n
     centres = np.zeros_like(robot.centres)
     masses[i] = robot.masses[i]
     no_load = Payload(np.zeros(len(conditions)), np.zeros(3))
+    layout = _under(chain, i)
 
     def moments_at(centre: np.ndarray) -> np.ndarray:
         centres[i] = centre
-        layout = chain.layout._replace(masses=masses, centres=centres)
-        return borne_moments(chain, values, kernels.static_moments(layout, values, no_load))
+        laden = layout._replace(masses=masses, centres=centres)
+        static = kernels.static_moments(laden, values, no_load, bending=True)
+        return borne_moments(chain, values, static)
 
     straight = moments_at(np.zeros(3))
     size = max(
@@ -145,6 +148,15 @@ def _moments_of_link(chain: Chain, conditions: Conditions, i: int) -> Iterator[n
     along = [moments_at(size * axis) - straight for axis in np.eye(3)]
     yield straight + sum(part * of for part, of in zip(robot.centres[i] / size, along, strict=True))
     yield from along
+
+
+def _under(chain: Chain, i: int) -> Layout:
+    """Return the layout of a chain with the joints that carry link i alone, and nothing at the tip:
+    no other joint bears it.
+    """
+    carrying = np.array(above(i, chain.robot.parents))
+    bears = np.isin(np.arange(chain.robot.n_joints), carrying)
+    return chain.layout._replace(acting=carrying, bears=bears, tip_joint=-1)
 
 
 def variance_of_masses(fit: ModelFit) -> float:

@@ -99,6 +99,21 @@ class Batch:
         """
         return np.split(self.together().residuals(self.values(values)), self.ends[1:-1], axis=1)
 
+    def note_poses(self, values: np.ndarray) -> None:
+        """Let each station know its poses at values of all parameters: of several from one
+        evaluation, as each alone has its fixed costs.
+        """
+        pairs = zip(self.stations, self.places, strict=True)
+        each = [station.split(values[places])[0] for station, places in pairs]
+        pairs = zip(self.stations, each, strict=True)
+        if len(each) == 1 or all(station.knows_poses(of_model) for station, of_model in pairs):
+            return
+        together = self.together()
+        poses = together.poses_read(together.split(self.values(values))[0])
+        parts = np.split(poses, self.ends[1:-1])
+        for station, of_model, part in zip(self.stations, each, parts, strict=True):
+            station.note_poses(of_model, part)
+
     def together(self) -> Station:
         """Return one station with the rows of all, each station's parameters at its rows: values
         have shape (P, S).

@@ -28,6 +28,9 @@ from pincal.thresholds import Count
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
 PIECE: Count = 4096
+# Values of a model at which poses are known: those of base and tool alone are asked for again where
+# a fit has ended, some steps later.
+_LATEST: Count = 6
 # Numbers of correlated columns that are whitened at once (16 MB), as that takes several copies.
 _MOST_NUMBERS: Count = 2_000_000
 
@@ -151,8 +154,8 @@ class Station:
             trusted=None if self.trusted is None else self.trusted[rows],
         )
         if self.conditions.around is None:
-            known = ((key, poses[rows]) for key, poses in list(self._latest_poses.items()))
-            found._latest_poses.update(known)
+            latest = list(self._latest_poses.items())[-1:]
+            found._latest_poses.update((key, poses[rows]) for key, poses in latest)
         return found
 
     def sample(self, most: int) -> Station:
@@ -186,18 +189,26 @@ class Station:
         if known is not None:
             return known
         found = self.model.predict(of_model, self.conditions.at_moments)
-        self._keep(of_model, found)
+        self.note_poses(of_model, found, most=_LATEST)
         return found
 
     @cached_property
     def _latest_poses(self) -> dict[bytes, np.ndarray]:
         return {}
 
-    def _keep(self, of_model: np.ndarray, poses: np.ndarray) -> None:
-        """Keep the poses at the latest values, if they are few."""
-        self._latest_poses.clear()
+    def knows_poses(self, of_model: np.ndarray) -> bool:
+        """Return whether these are the latest values of the model, whose poses are known."""
+        return of_model.tobytes() in self._latest_poses
+
+    def note_poses(self, of_model: np.ndarray, poses: np.ndarray, *, most: int = 1) -> None:
+        """Keep the poses at the latest values of the model, ``most`` of them, if they are few."""
+        known = self._latest_poses
+        key = of_model.tobytes()
+        known.pop(key, None)
+        for oldest in list(known)[: max(len(known) - most + 1, 0)]:
+            del known[oldest]
         if len(poses) <= PIECE:
-            self._latest_poses[of_model.tobytes()] = poses
+            known[key] = poses
 
     def _white(self, columns: np.ndarray) -> np.ndarray:
         """Return columns, shape (P, m, N), in which the noise of each row is white."""
@@ -422,7 +433,7 @@ class Station:
         model_free, own_free = self.split(free)
         model_free = model_free & part.model.affects_tip
         poses, motion, shared = part._motion_shared(of_model, model_free)
-        part._keep(of_model, poses)
+        part.note_poses(of_model, poses, most=_LATEST)
         curves = [
             (parameters, basis, i)
             for i, group in enumerate(shared)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,8 +24,10 @@ from pincal.measure.reading_numbers import SAME_POSE
 from pincal.sensors.registry import known_fields
 from pincal.thresholds import Count
 
-# Bytes of joint positions whose labels are remembered.
+# Bytes of joint positions whose labels are remembered, and most labels of the latest tables.
 _MOST_REMEMBERED: Count = 1 << 20
+_MOST_LABELS: Count = 200_000
+_REMEMBERED: dict[tuple[int, tuple[int, ...], float], np.ndarray] = {}
 SCATTER = SAME_POSE.settled
 """Joint positions that count as the same although drives settle differently [rad or m]."""
 
@@ -246,13 +248,17 @@ def same_joints(q: np.ndarray, within: float = SAME_POSE.same) -> np.ndarray:
     """
     if q.nbytes > _MOST_REMEMBERED:
         return _labels(q, within)
-    # One calibration asks for the same rows a dozen times.
-    return _remembered(np.ascontiguousarray(q, float).tobytes(), q.shape[1], within).copy()
-
-
-@lru_cache(maxsize=8)
-def _remembered(content: bytes, joints: int, within: float) -> np.ndarray:
-    return _labels(np.frombuffer(content).reshape(-1, joints), within)
+    # One calibration asks for the same rows a dozen times, of each of its stations.
+    content = np.ascontiguousarray(q, float).tobytes()
+    # Of 64 bits, a fifth of the time of a digest.
+    key = hash(content), q.shape, within
+    known = _REMEMBERED.get(key)
+    if known is None:
+        known = _labels(q, within).astype(np.int32)
+        _REMEMBERED[key] = known
+        while sum(map(len, list(_REMEMBERED.values()))) > _MOST_LABELS:
+            _REMEMBERED.pop(next(iter(_REMEMBERED)), None)
+    return known.astype(int)
 
 
 def _labels(q: np.ndarray, within: float) -> np.ndarray:

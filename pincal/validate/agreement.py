@@ -15,6 +15,7 @@ from pincal.hypotheses.hypothesis import Explanation, Likeliest, likeliest
 from pincal.identify.fit import ModelFit
 from pincal.identify.initial import base_seen
 from pincal.identify.options import Options
+from pincal.identify.problem import Problem
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import JointOffset, LinkGeometry
@@ -47,17 +48,14 @@ def check_agreement(
     """
     pulled = _pulled(fit)
     bounded = _bounded(fit)
-    for k, (station, places, table) in enumerate(
-        zip(fit.problem.stations, fit.problem.places, tables, strict=True)
+    # First at the values of which the predictions are known.
+    left_of, error_of = (_typical(fit.problem, of) for of in (fit.values, fit.nominal.values))
+    for k, (station, table, left, error) in enumerate(
+        zip(fit.problem.stations, tables, left_of, error_of, strict=True)
     ):
         # Mistakes in a log of an IMU are found when it is aligned with the motion.
         if not station.sensor.reads_place:
             continue
-        # First at the values of which the predictions are known.
-        left, error = (
-            typical_residuals(station, values[places])
-            for values in (fit.values, fit.nominal.values)
-        )
         trials = Trials(Case(robot, table), _limits(fit, k, table), fit.options.at(station.name))
         suspect = _Suspect(trials, error, left, pulled, bounded)
         if suspect.is_sound:
@@ -66,6 +64,14 @@ def check_agreement(
         if correction is not None:
             return correction
     return None
+
+
+def _typical(problem: Problem, values: np.ndarray) -> list[Residuals]:
+    """Return the typical residuals of each station at values of all parameters."""
+    for batch in problem.batches:
+        batch.note_poses(values)
+    pairs = zip(problem.stations, problem.places, strict=True)
+    return [typical_residuals(station, values[places]) for station, places in pairs]
 
 
 @dataclass(frozen=True)
