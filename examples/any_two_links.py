@@ -88,7 +88,7 @@ def track(out: Path) -> None:
 def palletizer(out: Path) -> None:
     """Calibrate a palletizer by the positions of its four drives."""
     robot, table = URDF / "palletizer.urdf", out / "palletizer.csv"
-    run(f"simulate {robot} --poses 250 --noise 0.05mm --out {table}")
+    run(f"simulate {robot} --poses 150 --noise 0.05mm --out {table}")
     run(f"calibrate {robot} {table} --noise 0.05mm --out {out / 'palletizer'}")
     shown(out / "palletizer")
 

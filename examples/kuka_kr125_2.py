@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal import FittedRobot, Options, Robot, calibrate, measurements_from_arrays
+from pincal import FittedRobot, Options, Robot, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.checked_fit import fitted
 from pincal.identify.options import Stages
 from pincal.measure.measurements import Measurements
 from pincal.model.effect import Effect
@@ -69,7 +70,8 @@ def fit(
     options = Options(
         effects=effects, sigma=sigma, stages=stages, base=np.eye(4), tools={"tool": TOOL}, payload_centre=PAYLOAD_COM
     )
-    return calibrate(ROBOT, table, options)
+    # Without the checks of ``pincal.calibrate``: where a model is too small they look for mistakes in the table.
+    return fitted(ROBOT, table, options)
 
 
 def deviations(found: FittedRobot, q: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:

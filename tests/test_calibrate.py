@@ -17,6 +17,7 @@ from pincal import (
     read_measurements,
     run_calibration,
 )
+from pincal.calibration.checked_fit import fitted
 from pincal.errors import MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.calibrate import expected_fit, fit_tables, refit
@@ -76,7 +77,8 @@ def test_noise_free_paper_machine_is_found_to_rounding(kuka, seed, known, stages
         tools={"tool": TOOL} if known else None,
         stages=stages,
     )
-    fit = calibrate(kuka, paper_table(kuka, 60, seed), options)
+    # Errors of so many millimetres are looked for in the table as well, which takes most of a calibration.
+    fit = fitted(kuka, paper_table(kuka, 60, seed), options)
 
     assert fit.solution.converged
     assert errors(fit, paper_table(kuka, 500, 100 + seed)).max() < 1e-10
@@ -91,7 +93,7 @@ def test_noisy_paper_machine_has_chi_square_one_and_intervals_that_cover(kuka, d
     effects = (*GEOMETRIC, JointElasticity(first), BearingElasticity(first))
     options = Options(effects=effects, payload_centre=PAYLOAD_COM, base=np.eye(4), tools={"tool": TOOL}, sigma=5e-5)
     exact = paper_table(kuka, 100, 0)
-    truth = calibrate(kuka, exact, replace(options, sigma=None))
+    truth = fitted(kuka, exact, replace(options, sigma=None))
     others = paper_table(kuka, 100, 1)
     rng = np.random.default_rng(7)
     chi2, inside_prediction, inside_direction = [], [], []

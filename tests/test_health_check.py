@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -307,7 +308,7 @@ def test_the_simulated_rates_are_those_asked_for() -> None:
 
 
 @pytest.mark.long
-def test_an_unchanged_arm_without_masses_raises_no_alarm() -> None:
+def test_an_unchanged_arm_without_masses_raises_no_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
     """Masses known to a third, which compliances make up for: an alarm in at most 5 of 100 simulated checks (p = 5e-4)."""
     urdf = Path(kuka_urdf_path()).read_text(encoding="utf-8")
     robot = Robot.from_urdf(re.sub("<inertial>.*?</inertial>", "", urdf, flags=re.DOTALL).encode())
@@ -315,6 +316,13 @@ def test_an_unchanged_arm_without_masses_raises_no_alarm() -> None:
     machine = draw_typical_elasticity(sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0"), rng)
     q = sim.plan_poses(machine.nominal, 60, rng)
     model = pincal.calibrate(robot, measured(machine, q, rng), Options(effects=ELASTIC, sigma=SIGMA)).at()
+    simulated = health._Planning.alarms
+
+    def unchanged(self: Any, choice: Any, step: np.ndarray) -> float:
+        # Checks of a robot that has changed take as long, and decide nothing here.
+        return np.nan if step.any() else simulated(self, choice, step)
+
+    monkeypatch.setattr(health._Planning, "alarms", unchanged)
     found = design_check(model, CheckRequest(notice=5e-4, draws=100))
 
     assert robot.massless

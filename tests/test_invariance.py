@@ -180,11 +180,10 @@ def test_a_bearing_is_found_where_it_is() -> None:
                 (diagnosed, "skew 0"),
                 (designed, "skew 0"),
                 (calibrated, "skew 0 wobble"),
-                (calibrated, "kuka"),
                 (discovered, "skew 0"),
             ]
         ),
-        pytest.param(calibrated, "skew 1", marks=[pytest.mark.long, pytest.mark.rates]),
+        *(pytest.param(calibrated, name, marks=[pytest.mark.long, pytest.mark.rates]) for name in ("kuka", "skew 1")),
     ],
 )
 def test_a_verb_says_the_same_of_the_same_machine(

@@ -278,8 +278,8 @@ def test_a_touched_instrument_is_no_change(first: FittedRobot) -> None:
 def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int) -> None:
     """With the day, beside the curves that both days have; where none has changed, no day has one of its own."""
     robot = Robot.from_urdf("ur10")
-    monday = session(robot, 400, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0)
-    tuesday = session(robot, 300, {DRIVES[0]: curve, DRIVES[1]: 2}, seed=1)
+    monday = session(robot, 280, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0)
+    tuesday = session(robot, 220, {DRIVES[0]: curve, DRIVES[1]: 2}, seed=1)
     options = Options(effects=GEOMETRIC, sigma=NOISE)
     found = run_discovery(robot, {"monday": monday, "tuesday": tuesday}, options, split="blocked").findings
     named = {(e.effect, e.joint) for e in found.effects if not e.station}

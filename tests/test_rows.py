@@ -338,17 +338,23 @@ def test_a_fit_of_independent_rows_has_no_correlated_noise(kuka: Robot) -> None:
 
 @pytest.mark.long
 @pytest.mark.first
-def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A UR5 whose errors persist along the rows: held out .0590 mm by regions and .0504 by stretches."""
+@pytest.mark.parametrize(
     # Some 5 % more than what was measured.
+    ("every", "regions", "stretches"),
+    [(3, 0.0625, 0.0625), pytest.param(1, 0.0515, 0.053, marks=pytest.mark.products)],
+)
+def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch, every: int, regions: float, stretches: float
+) -> None:
+    """A UR5 whose errors persist along the rows: held out .0489 mm by regions and .0503 by stretches, .0595 of a third."""
     monkeypatch.setattr("pincal.identify.solve.polish", None)
     robot = Robot.from_urdf("ur5")
-    table = read_measurements(shared_data / "ur5_tracker" / "grid.csv", robot.joint_names)
+    table = read_measurements(shared_data / "ur5_tracker" / "grid.csv", robot.joint_names).select(slice(None, None, every))
     found = run_discovery(robot, table, Options(effects=GEOMETRIC, moment_frame="before"))
     errors = found.calibration.result.error["calibrated"]
 
     assert found.trail.final.problem.stations[0].serial is not None
-    assert errors["regions"]["mean_mm"] < 0.062 and errors["stretches"]["mean_mm"] < 0.053
+    assert errors["regions"]["mean_mm"] < regions and errors["stretches"]["mean_mm"] < stretches
 
 
 # What is held out
