@@ -465,12 +465,13 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
     """Return joints that moved through little of their range, with the fraction that
-    they covered.
+    they covered, of those that do not follow from others.
     """
     robot = calibration.robot
     q = np.vstack([rows.train.of_joints(calibration.robot).q for rows in calibration.stations])
     found = []
-    for i, name in enumerate(robot.joint_names):
+    for i in robot.own_joints:
+        name = robot.joint_names[i]
         width = float(robot.upper[i] - robot.lower[i])
         # Beyond one revolution a joint adds nothing new.
         if robot.joint_types[i] != "prismatic":
