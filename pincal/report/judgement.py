@@ -250,7 +250,8 @@ _MEASURED = {
     CaveatKind.WRONG_LENGTH: "Measure the distance that the doubt names again, and calibrate "
     "again: the scale of the whole arm follows it.",
     CaveatKind.OWN_POSE: "Supply the readings of an instrument, or name their columns (--columns).",
-    CaveatKind.UNSEEN_DIRECTION: "Add contacts in other directions, and calibrate again.",
+    CaveatKind.UNSEEN_DIRECTION: "Measure in other directions, too (contacts or anchors "
+    "elsewhere), and calibrate again.",
     CaveatKind.BLIND: "Measure in more directions and at more places, or with an instrument.",
     CaveatKind.NOISY_REPEATS: "Find out why readings of one stop differ, or declare the noise that "
     "they show.",
