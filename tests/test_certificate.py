@@ -34,7 +34,7 @@ from pincal.io.result_folder import output_folder
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
-from pincal.parameters import FRAME_SYMBOLS, estimate_of
+from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.sensors.setup import KnownDistance, Setup
 
 ISSUE = Issue(number="C-17", day=datetime.date(2026, 11, 29))
@@ -146,6 +146,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory, known: FittedRobot) -> Path
     known.save(made / "model.json")
     (made / "result.json").write_text(json.dumps(RESULT | {"parameters": parameters_of(known)}))
     return made
+
+
+def of_free(estimate: Estimate, free: np.ndarray) -> Estimate:
+    """Return an estimate of which only some parameters were fitted."""
+    variances = np.where(free, estimate.sigma**2, 0.0)
+    return estimate_of(estimate.parameters, estimate.values, np.diag(variances))
 
 
 def parameters_of(known: FittedRobot) -> list[dict[str, Any]]:
@@ -473,12 +479,25 @@ def test_source_of_lengths_sockets_are_of_no_instrument(known: FittedRobot, of_m
 
     assert given == "the distances between sockets as given: a to b 50.000 ± 0.010 mm"
     assert (
-        words.startswith("No instrument measured the robot. Its lengths are those of the distances") and "7512" not in words
+        words.startswith("No instrument measured the robot's lengths: they are those of the distances")
+        and "7512" not in words
     )
     assert "an error of these lengths" in words and "instrument's" not in words
     assert "an error of the instrument's scale" in of_model.traceability
     assert lengths(points=unknown) == "its description: no distance between sockets was given"
     assert lengths(points={"a": (0.0, 0.0, 0.0), "b": None}) == source_of_lengths(known) == ""
+
+
+def test_lengths_that_no_reading_told_are_those_of_the_description(known: FittedRobot) -> None:
+    """As of an IMU alone; one length that was fitted is enough to say nothing of it, as is a place that was read."""
+    estimate = known.estimate
+    is_length = np.array([p.unit == "m" and p.effect == "link_geometry" for p in estimate.parameters])
+    held = known.with_model(known.model, of_free(estimate, ~is_length))
+    one = is_length & (np.cumsum(is_length) > 1)
+
+    assert held.holds_lengths and not known.holds_lengths
+    assert not known.with_model(known.model, of_free(estimate, ~one)).holds_lengths
+    assert source_of_lengths(held) == ""
 
 
 def test_a_model_whose_effects_need_more_of_a_pose_has_no_budget(tmp_path: Path, kuka: Robot) -> None:

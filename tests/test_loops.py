@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -25,7 +27,8 @@ from test_model import (
     values_of,
 )
 
-from pincal import measurements_from_arrays
+import pincal
+from pincal import Options, measurements_from_arrays
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
@@ -33,6 +36,7 @@ from pincal.model.conditions import Conditions
 from pincal.model.effects import ELASTIC, GEOMETRIC, BearingElasticity, JointElasticity
 from pincal.model.model import Model
 from pincal.model.sparse_basis import dense_rows
+from pincal.report.judgement import narrow_joints
 from pincal.robot.robot import Robot
 from pincal.validate.cures import descriptions
 
@@ -349,6 +353,42 @@ def test_every_part_of_a_compliance_has_a_parameter_which_the_whole_has(name: st
         assert all(part.parameters(chain) for part in parts)
         assert sorted(together) == sorted(p.name for p in effect.parameters(chain))
         assert replace(effect, joints=()).parts(chain) == ()
+
+
+@pytest.mark.long
+def test_what_is_said_of_joints_is_said_of_those_that_move(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Coverage, narrow ranges and the largest change to command are those of drives, not of rods that follow."""
+    (tmp_path / "robot.urdf").write_bytes(palletizer("constraint"))
+    robot, table, noise = tmp_path / "robot.urdf", tmp_path / "rows.csv", ("--noise", "0.05mm")
+    drives = {f"joint_{k}" for k in (1, 2, 3, 4)}
+    assert run("simulate", robot, "--poses", 60, "--seed", 1, *noise, "--out", table, "--quiet") == 0
+    assert run("check", robot, table, *noise, "--quiet") == 0
+    covered = re.search(r"covered .*\((\w+)\)", capsys.readouterr().out)
+    assert covered is not None and covered[1] in drives
+    assert run("calibrate", robot, table, *noise, "--out", tmp_path / "r", "--quiet") == 0
+    capsys.readouterr()
+    (tmp_path / "program.csv").write_text("\n".join(row.rsplit(",", 3)[0] for row in table.read_text().splitlines()[:9]))
+    to = ("--out", tmp_path / "o.csv", "--json")
+    assert run("compensate", tmp_path / "r" / "model.json", tmp_path / "program.csv", *to) == 0
+    assert json.loads(capsys.readouterr().out)["change"]["joint"] in drives
+
+    arm = Robot.from_urdf(robot)
+    few = pincal.read_measurements(table, arm).select(np.arange(30))
+    narrow = narrow_joints(pincal.run_calibration(arm, few, Options(effects=GEOMETRIC)))
+    assert {name for name, _ in narrow} <= drives
+
+
+@pytest.mark.long
+def test_loops_that_no_urdf_closes_leave_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A palletizer fitted without its elasticity has tilts that no URDF holds: all else is written, and this is said."""
+    (tmp_path / "robot.urdf").write_bytes(palletizer("constraint"))
+    robot, table, noise = tmp_path / "robot.urdf", tmp_path / "rows.csv", ("--noise", "0.05mm")
+    assert run("simulate", robot, "--poses", 60, "--seed", 1, *noise, "--out", table, "--quiet") == 0
+    assert run("calibrate", robot, table, *noise, "--model", "geometric", "--out", tmp_path / "r", "--quiet") == 0
+    assert "calibrated.urdf" not in capsys.readouterr().out and not (tmp_path / "r" / "calibrated.urdf").exists()
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "calibrated.urdf is not written" in page and "(--model elastic)" in page
+    assert (tmp_path / "r" / "model.json").exists()
 
 
 @pytest.mark.long

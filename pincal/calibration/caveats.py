@@ -95,7 +95,7 @@ class CaveatKind(Enum):
     )
     UNSEEN_DIRECTION = (
         "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured "
-        "perpendicular to it; vary the directions of contact"
+        "perpendicular to it; measure in other directions, too"
     )
     BLIND = (
         "these readings hardly determine {link}: the standard deviation of its predicted "

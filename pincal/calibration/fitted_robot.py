@@ -49,7 +49,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements
 from pincal.model.augmented import pinocchio_model
 from pincal.model.conditions import Conditions
-from pincal.model.effect import Effect
+from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.parameters import Estimate
 from pincal.result_table import Table
@@ -318,6 +318,26 @@ class FittedRobot:
         return self.estimate.take(
             p.name for effect in effects for p in effect.parameters(model.chain)
         )
+
+    @property
+    def holds_lengths(self) -> bool:
+        """Whether no length of its links was fitted, as an IMU tells none: they are those of its
+        description, and no uncertainty of positions includes them.
+        """
+        model = self.stations[0].model
+        lengths = {
+            parameter.name
+            for effect in model.effects
+            if effect.family is Family.GEOMETRY
+            for parameter in effect.parameters(model.chain)
+            if parameter.unit == "m"
+        }
+        are_free = (
+            free
+            for parameter, free in zip(self.estimate.parameters, self.estimate.free, strict=True)
+            if parameter.name in lengths
+        )
+        return bool(lengths) and not any(are_free)
 
     @property
     def parameters(self) -> Table:

@@ -195,8 +195,12 @@ def _nominal_of_fitted(fit: ModelFit) -> dict[str, float]:
 
 
 def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
-    """Yield the coverage of each joint, infinite limits as None."""
-    for name, q, *limits in zip(robot.joint_names, poses.T, robot.lower, robot.upper, strict=True):
+    """Yield the coverage of each joint, infinite limits as None, and those of joints that follow
+    from others, whose range is that of these.
+    """
+    bounds = np.full((2, robot.n_joints), np.inf)
+    bounds[:, robot.own_joints] = robot.lower[robot.own_joints], robot.upper[robot.own_joints]
+    for name, q, *limits in zip(robot.joint_names, poses.T, *bounds, strict=True):
         lower, upper = (float(limit) if np.isfinite(limit) else None for limit in limits)
         yield JointRange(name, float(q.min()), float(q.max()), lower, upper, distinct_values(q))
 

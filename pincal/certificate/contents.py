@@ -208,7 +208,9 @@ class Certificate:
         )
         scale = "the instrument's scale is included only where the budget lists it"
         if self.lengths:
-            source = f"No instrument measured the robot. Its lengths are those of {self.lengths}."
+            source = (
+                f"No instrument measured the robot's lengths: they are those of {self.lengths}."
+            )
             scale = "these lengths is included only as far as their uncertainty is stated"
         return (
             f"{source} These entries are as the user stated them and were not "

@@ -70,6 +70,9 @@ _RELATIVE = (
     "of positions once base and target are located, as the readings do not tell where the base "
     "stands"
 )
+_LENGTHS_HELD = (
+    "the lengths of links are those of the robot's description, and their errors are not included"
+)
 # Sources that are known otherwise than by statistics of the readings.
 _TYPE_B = {"conditions", "temperature"}
 
@@ -366,9 +369,11 @@ def _facts(fitted: FittedRobot, result: ResultFile) -> dict[str, str]:
 
 
 def source_of_lengths(fitted: FittedRobot) -> str:
-    """Return what gives the unit of length where the arm was held in sockets alone; empty if an
-    instrument read it, or the sockets.
+    """Return what gives the unit of length where the arm was held in sockets alone, or only an IMU
+    was on it; empty if an instrument read it, or the sockets.
     """
+    if fitted.holds_lengths and not any(station.is_placed for station in fitted.stations):
+        return "its description, as no reading tells them"
     setups = [station.setup for station in fitted.stations if is_held(station.sensor_kind)]
     is_measured = any(place is not None for setup in setups for place in setup.points.values())
     if len(setups) < len(fitted.stations) or is_measured:
@@ -413,8 +418,10 @@ def _groups(robot: FittedRobot, result: ResultFile, budget: Budget | None) -> It
 
 def _remark(robot: FittedRobot) -> str:
     """Return how the uncertainties of positions are to be read."""
-    how = "U: of one coordinate, root mean square, without noise of new readings"
-    return how if robot.station.is_placed else f"{how}; {_RELATIVE}"
+    said = ["U: of one coordinate, root mean square, without noise of new readings"]
+    said += [] if robot.station.is_placed else [_RELATIVE]
+    said += [_LENGTHS_HELD] if robot.holds_lengths else []
+    return "; ".join(said)
 
 
 def _combined(budget: Budget | None) -> Iterator[Figure]:

@@ -284,6 +284,7 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     result = _result(robot, done, beyond, max_change=arguments.max_change)
     result |= place.contents | {"out": str(arguments.out)}
     result["is_placed"] = calibrated.station.is_placed
+    result["holds_lengths"] = calibrated.holds_lengths
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
     end_progress()
     if arguments.general.as_json:
@@ -504,6 +505,8 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
     else:
         yield f"  joints to command  {known} once base and target"
         yield "                     are located: the readings do not tell where the base stands"
+    if result["holds_lengths"]:
+        yield "                     (without the errors of its lengths, which are as in the URDF)"
     yield from _not_ok_lines(result["not_ok"])
     if result["change"]:
         change = result["change"]

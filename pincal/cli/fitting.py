@@ -29,7 +29,7 @@ from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import print_json, provenance, require_accuracy, robot_notes_in_result
 from pincal.cli.result_place import results_option
 from pincal.cli.robot_priors import load_prior
-from pincal.errors import BadInputError, Exit, IdentificationError
+from pincal.errors import BadInputError, Exit, IdentificationError, RobotFileError
 from pincal.io.result_folder import output_folder
 from pincal.satellites import Place
 from pincal.spread import own_processes
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pincal.calibration.calibration import Calibration
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.calibration.result import Result
     from pincal.cli.inputs import Prepared
     from pincal.measure.measurements import Measurements
@@ -330,7 +331,6 @@ def write_results(
 ) -> tuple[str, ...]:
     """Write all files of a fit to a folder; return notes on what the URDF can't represent."""
     from pincal.io.strict_json import write_json
-    from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import report_page
     from pincal.report.subject import Subject
 
@@ -339,17 +339,35 @@ def write_results(
     fit.save(folder / "model.json", provenance=origin)
     write_json(folder / "result.json", calibration.result.to_dict())
     output.write(folder)
-    robot = fit.robot_model()
-    export = calibrated_urdf(robot.model, robot.values, comment=fit.identity.machine)
-    (folder / "calibrated.urdf").write_bytes(export.text)
+    notes = _write_urdf(folder, fit)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
         for write in _VIEWS.all():
             write(folder, calibration)
     page = report_page(
-        Subject(calibration, origin, export.notes, output.search, view=VIEW if view else None)
+        Subject(calibration, origin, notes, output.search, view=VIEW if view else None)
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
+    return notes
+
+
+def _write_urdf(folder: Path, fit: FittedRobot) -> tuple[str, ...]:
+    """Write the calibrated URDF; return notes on what it can't represent.
+
+    Raises:
+        RobotFileError: if it can't be written, except for an arm whose calibrated loops do not
+            close as a URDF has them: the model predicts nevertheless.
+    """
+    from pincal.io.urdf_export import calibrated_urdf
+
+    robot = fit.robot_model()
+    try:
+        export = calibrated_urdf(robot.model, robot.values, comment=fit.identity.machine)
+    except RobotFileError as error:
+        if robot.model.chain.robot.linkage is None:
+            raise
+        return (f"calibrated.urdf is not written, the calibration is in model.json only: {error}",)
+    (folder / "calibrated.urdf").write_bytes(export.text)
     return tuple(export.notes)
 
 

@@ -87,8 +87,11 @@ class CompensatedTable:
 
     @property
     def change(self) -> np.ndarray:
-        """Commanded minus initial joint positions, as reported by the controller, shape (N, n)."""
-        return np.asarray(self.found.q - self.robot.as_reported(self.seeds.q))
+        """Commanded minus initial joint positions, as reported by the controller, shape (N, n); 0
+        for joints that follow from others, which no controller commands.
+        """
+        own = np.isin(np.arange(self.robot.n_joints), self.robot.own_joints)
+        return np.where(own, self.found.q - self.robot.as_reported(self.seeds.q), 0.0)
 
 
 def read_targets(

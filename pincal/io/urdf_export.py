@@ -358,10 +358,19 @@ def _check(
                 raise RobotFileError(
                     f"{robot.name}: the calibrated URDF would put {last} up to "
                     f"{error:.3g} m from where the model does, "
-                    f"expected at most {IN_FILES.tip_error:g} m: give the URDF that the robot "
-                    "was calibrated with"
+                    f"expected at most {IN_FILES.tip_error:g} m: {_cure(robot)}"
                 )
     return error
+
+
+def _cure(robot: Robot) -> str:
+    """Return what to do where a URDF does not have the geometry of the model."""
+    if robot.linkage is not None:
+        return (
+            "the calibrated loops do not close as they are written; more poses, or what bends the "
+            "arm (--model elastic), keep its axes nearer to the URDF"
+        )
+    return "give the URDF that the robot was calibrated with"
 
 
 def rigid_tips(

@@ -250,7 +250,8 @@ _MEASURED = {
     CaveatKind.WRONG_LENGTH: "Measure the distance that the doubt names again, and calibrate "
     "again: the scale of the whole arm follows it.",
     CaveatKind.OWN_POSE: "Supply the readings of an instrument, or name their columns (--columns).",
-    CaveatKind.UNSEEN_DIRECTION: "Add contacts in other directions, and calibrate again.",
+    CaveatKind.UNSEEN_DIRECTION: "Measure in other directions, too (contacts or anchors "
+    "elsewhere), and calibrate again.",
     CaveatKind.BLIND: "Measure in more directions and at more places, or with an instrument.",
     CaveatKind.NOISY_REPEATS: "Find out why readings of one stop differ, or declare the noise that "
     "they show.",
@@ -465,12 +466,13 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
     """Return joints that moved through little of their range, with the fraction that
-    they covered.
+    they covered, of those that do not follow from others.
     """
     robot = calibration.robot
     q = np.vstack([rows.train.of_joints(calibration.robot).q for rows in calibration.stations])
     found = []
-    for i, name in enumerate(robot.joint_names):
+    for i in robot.own_joints:
+        name = robot.joint_names[i]
         width = float(robot.upper[i] - robot.lower[i])
         # Beyond one revolution a joint adds nothing new.
         if robot.joint_types[i] != "prismatic":
