@@ -23,6 +23,7 @@ from pincal import (
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.decisions import standard_errors
+from pincal.discover.policy import POLICY
 from pincal.discover.run import run_discovery
 from pincal.identify.calibrate import refit
 from pincal.identify.dependence import (
@@ -164,6 +165,16 @@ def test_innovations_weigh_by_the_inverse_of_the_covariance() -> None:
         ratio = (found[:, i] @ found[:, i].T) / expected
         np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-9)
     np.testing.assert_allclose(serial.coloured(found[0]), columns[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("gap", [1, 4, 12])
+def test_the_variance_of_a_mean_of_correlated_rows_is_raised(gap: int) -> None:
+    """By the sum of their covariance over that of independent rows; the component that is raised most counts."""
+    place = gap * np.arange(300.0)
+    phi, share = np.array([0.9, 0.5, 0.99]), np.array([0.7, 0.3, 0.0])
+    expected = 1.0 + 2.0 * sum(0.7 * 0.9 ** (gap * apart) for apart in range(1, 300))
+
+    assert Serial(phi, share, place, np.ones(300, bool)).inflation == pytest.approx(expected)
 
 
 def test_the_transpose_of_what_whitens_serves_the_other_columns() -> None:
@@ -355,6 +366,23 @@ def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(
 
     assert found.trail.final.problem.stations[0].serial is not None
     assert errors["regions"]["mean_mm"] < regions and errors["stretches"]["mean_mm"] < stretches
+
+
+@pytest.mark.parametrize(("phi", "words"), [(0.7, "fitting all"), (0.995, "repeating")])
+def test_a_sample_of_rows_far_apart_is_searched_once(
+    kuka: Robot, phi: float, words: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Every twentieth row of an autoregression of 0.7 is independent: its names stand, and all rows are weighted."""
+    n = 1200
+    rng = np.random.default_rng(5)
+    noise = NOISE * (0.8 * autoregression(rng, n, phi) + 0.6 * rng.standard_normal((n, 3)))
+    rows = table(kuka, n, noise, 5)
+    caplog.set_level("INFO", "pincal.discover.loop")
+    found = run_discovery(kuka, rows, Options(effects=GEOMETRIC), policy=replace(POLICY, enough_readings=3 * n // 20))
+    serial = found.trail.final.problem.stations[0].serial
+
+    assert any(words in record.message for record in caplog.records)
+    assert serial is not None and abs(serial.phi[0] - phi) < 0.1 and not is_dependent(found.trail.final)
 
 
 # What is held out

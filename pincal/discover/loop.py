@@ -26,6 +26,7 @@ from pincal.discover.decisions import Decision, Row, accepted, each_heading_once
 from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
 from pincal.discover.levers import missing_compliances
+from pincal.discover.noise_numbers import NOISE
 from pincal.discover.policy import POLICY, Policy
 from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
@@ -84,33 +85,75 @@ def discover_effects(
         expected: effects of a search on more rows, of which these are a part: they enter together
             where each is beyond doubt given all the others, and fits are as close as names need.
     """
-
-    def searched(first: ModelFit) -> History:
-        few, rows = sampled(first, policy)
-        given = tuple(extra), first, groups[rows], tuple(frames), nameless
-        search = Search(policy, *given, None if expected is None else tuple(expected))
-        state = SearchState(few)
-        for step_on in _PASSES:
-            state = step_on(state, search)
-        first = in_frame(first, state.fit.problem.chain.moment_frame)
-        return History(
-            state.fit, state.steps, state.changes, first=first, extra=search.extra, policy=policy
-        )
-
-    if fit.options.serial and any(station.serial is not None for station in fit.problem.stations):
-        # Correlation along the rows may be due to the effects searched for.
-        fit = refit(
-            with_serial(fit, (None,) * len(fit.problem.stations)), fit.options.effects, start={}
-        )
-    found = searched(fit)
-    if not fit.options.serial:
-        return found
-    noise = _noise_of_order(found, policy)
+    fit = _with_rows_independent(fit)
+    _, rows = sampled(fit, policy)
+    given = tuple(extra), fit, groups[rows], tuple(frames), nameless
+    search = Search(policy, *given, None if expected is None else tuple(expected))
+    state = _named(search)
+    found = _ended(state, search)
+    noise = _noise_of_order(found, policy) if fit.options.serial else None
     if noise is None:
         return found
-    log.info("the residuals depend on the order of the rows: repeating with weighted rows")
-    found = searched(refit(with_serial(fit, noise), fit.options.effects, start={}))
+    search = replace(search, first=refit(with_serial(fit, noise), fit.options.effects, start={}))
+    of_few = tuple(station.serial for station in sampled(search.first, policy)[0].problem.stations)
+    if _are_apart(of_few):
+        log.info("the residuals depend on the order of the rows: fitting all with weighted rows")
+        state = state.fitted_again(with_serial(state.fit, of_few))
+    else:
+        log.info("the residuals depend on the order of the rows: repeating with weighted rows")
+        state = _named(search)
+    found = _ended(state, search)
     return found.fitted_again(reweighted_by_order(found.final, Tolerance.TOLD))
+
+
+def _with_rows_independent(fit: ModelFit) -> ModelFit:
+    """Return a fit without the correlation along the rows, which may be due to the effects searched
+    for.
+    """
+    stations = fit.problem.stations
+    if not fit.options.serial or all(station.serial is None for station in stations):
+        return fit
+    return refit(with_serial(fit, (None,) * len(stations)), fit.options.effects, start={})
+
+
+def _named(search: Search) -> SearchState:
+    """Return the state in which a sample of the rows has named all that it shows."""
+    few, _ = sampled(search.first, search.policy)
+    return _after(_NAMING, SearchState(few), search)
+
+
+def _ended(state: SearchState, search: Search) -> History:
+    """Return the history in which all rows are fitted with what was named."""
+    state = _after(_ENDING, state, search)
+    first = in_frame(search.first, state.fit.problem.chain.moment_frame)
+    return History(
+        state.fit,
+        state.steps,
+        state.changes,
+        first=first,
+        extra=search.extra,
+        policy=search.policy,
+    )
+
+
+def _after(
+    passes: Sequence[Callable[[SearchState, Search], SearchState]],
+    state: SearchState,
+    search: Search,
+) -> SearchState:
+    """Return the state after some passes."""
+    for step_on in passes:
+        state = step_on(state, search)
+    return state
+
+
+def _are_apart(noise: Sequence[Serial | None]) -> bool:
+    """Return whether the rows of a sample are so far apart in the order that this noise of all rows
+    is independent from one to the next.
+
+    The same names come out of them then, however they are weighted.
+    """
+    return all(of is None or of.inflation < NOISE.apart for of in noise)
 
 
 def _noise_of_order(found: History, policy: Policy) -> tuple[Serial | None, ...] | None:
@@ -429,8 +472,8 @@ def fit_cost(fit: ModelFit) -> float:
     return deviance(fit) + fit.solution.effective * float(np.log(readings))
 
 
-# The algorithm.
-_PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
+# The algorithm: what is missing is named on a sample of the rows, and in the end all are fitted.
+_NAMING: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     start_in_likeliest_frame,
     add_sure_names,
     add_effects,
@@ -439,6 +482,8 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     drop_unneeded,
     judge_remainders,
     add_prior_elasticity,
+)
+_ENDING: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     fit_all_rows,
     refine_time_constants,
     merge_parts,

@@ -74,6 +74,14 @@ class NoiseNumbers:
         "of which neighbours have to be near for a function of them to be excluded",
         "as many as those on which an effect of the catalogue depends",
     )
+    apart: float = number(
+        1.05,
+        "ratio of variances",
+        "test_rows.py::test_a_sample_of_rows_far_apart_is_searched_once",
+        "factor on the variance of a mean of the rows from which effects are selected, below which "
+        "noise correlated along all rows counts as independent in these",
+        "standard deviations change by less than 2.5 %, and no name hangs on that",
+    )
     beyond: float = number(
         2.0,
         "standard deviations",

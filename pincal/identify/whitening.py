@@ -206,6 +206,17 @@ class Serial:
         return replace(self, phi=self.phi[readings], share=self.share[readings])
 
     @property
+    def inflation(self) -> float:
+        """Factor by which the correlation raises the variance of a mean of many rows as far apart
+        as these on average; the largest of all components.
+        """
+        n = len(self.position)
+        if n < 2:
+            return 1.0
+        of_next = np.minimum(self.phi ** (np.ptp(self.position) / (n - 1)), 1.0 - 1e-12)
+        return float(np.max(1.0 + 2.0 * self.share * of_next / (1.0 - of_next)))
+
+    @property
     def alone(self) -> np.ndarray | None:
         """Factor on each component that whitens it, shape (m, 1), if all rows are independent."""
         if self.turns is not None or self.share.any():
