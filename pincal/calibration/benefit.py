@@ -49,7 +49,6 @@ from pincal.identify.fit import ModelFit, posterior_of
 from pincal.identify.options import Kept, PriorScale
 from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.quadratic import Factor
-from pincal.identify.station import Station
 from pincal.model.conditions import Conditions
 from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count, Scale
@@ -148,11 +147,12 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     shared = fit.solution.free & problem.is_shared
     found = _Evidence.of(fit, shared, scaled).compared
     at = next(station for station in problem.stations if station.sensor.reads_place)
-    W = _weight(fit, shared, at, random_conditions(at))
+    robot = FittedRobot.of(fit).at(at.name)
+    W = _weight(robot, fit, shared, random_conditions(at))
     # A plan may show what matters at its poses, such as those of three joints, and little of the
     # rest.
     measured = at.conditions.select(sample_rows(len(at), _MEASURED))
-    averaged = _Averaged(found, W, _weight(fit, shared, at, measured))
+    averaged = _Averaged(found, W, _weight(robot, fit, shared, measured))
     x = (fit.values - fit.nominal.values)[shared]
     mean_squares = averaged.mean_squares(x)
     nominal, calibrated = 1e3 * np.sqrt(mean_squares)
@@ -383,11 +383,12 @@ def _squares(fit: ModelFit, sigma: np.ndarray) -> float:
     return found
 
 
-def _weight(fit: ModelFit, shared: np.ndarray, at: Station, conditions: Conditions) -> np.ndarray:
-    """Return the matrix of the mean square position error over poses of a station's robot, shape
-    (F, F) [m^2].
+def _weight(
+    robot: FittedRobot, fit: ModelFit, shared: np.ndarray, conditions: Conditions
+) -> np.ndarray:
+    """Return the matrix of the mean square position error over poses of the robot of a fit at one
+    of its stations, shape (F, F) [m^2].
     """
-    robot = FittedRobot.of(fit).at(at.name)
     on_its_day = robot.of_its_day(conditions)
     poses, J = robot.model.linearise(robot.model_values, on_its_day)
     along = unplaced(J[:, :3], poses)

@@ -430,8 +430,14 @@ class Validated:
 
     def errors(self, model: str) -> dict[str, dict[str, float]]:
         """Return the statistics of a model, way by way."""
-        found = {way: statistics_of(parts) for way, parts in self.of_model[model].items()}
-        return {way: of for way, of in found.items() if of}
+        return {way: dict(of) for way, of in self._statistics[model].items() if of}
+
+    @cached_property
+    def _statistics(self) -> dict[str, dict[Way, dict[str, float]]]:
+        return {
+            model: {way: statistics_of(parts) for way, parts in ways.items()}
+            for model, ways in self.of_model.items()
+        }
 
     @property
     def rows(self) -> int:

@@ -186,12 +186,13 @@ class _Windows:
         """Yield for each width the means of all windows, in standard deviations, for clipped
         errors, shape (D, N).
         """
-        sums = np.pad(np.cumsum(self.lever * clipped, axis=1), ((0, 0), (1, 0)))
+        sums = np.zeros((len(clipped), len(self.lever) + 1))
+        np.cumsum(self.lever * clipped, axis=1, out=sums[:, 1:])
         squares = np.append(0.0, np.cumsum(self.lever**2))
         for m in self.widths:
             means = np.abs(sums[:, m:] - sums[:, :-m]) / np.sqrt(squares[m:] - squares[:-m])
             some = means[:, :: max(m // _OVERLAPPING, 1)]
-            yield means / np.maximum(1.0, _NORMAL * np.median(some, axis=1, keepdims=True))
+            yield means / np.maximum(1.0, _NORMAL * _middles(some))
 
     def surprises(self, off: np.ndarray) -> np.ndarray:
         """Return minus the log p-value of the most significant window of each width, shape
@@ -242,6 +243,12 @@ class _Windows:
         high = self.q[first + m - 1]
         rows = np.flatnonzero(np.isin(self.pose, self.order[inside]))
         return Gathering(rows, len(rows), self.joint, float(low), float(high), p_value, size)
+
+
+def _middles(rows: np.ndarray) -> np.ndarray:
+    """Return the median of each row, shape (D, 1): as np.median, which takes twice as long."""
+    at = (rows.shape[1] - 1) // 2, rows.shape[1] // 2
+    return np.asarray(np.partition(rows, at, axis=1)[:, at].mean(axis=1, keepdims=True))
 
 
 def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, float, float]]:
