@@ -169,8 +169,9 @@ def code_of(page: str) -> list[str]:
     return [block or word for block, word in re.findall(r"```\S*\n(.*?)^```|`([^`]+)`", page, re.DOTALL | re.MULTILINE)]
 
 
-# The two that take longest are played before a release, as are two notebooks; other pages design and discover as well.
-SLOW = ("what-is-missing", "poses")
+# Three that take long are played before a release, as are two notebooks; other pages design and discover as well, and an
+# example and the tests of motion do what the page on an IMU does.
+SLOW = ("what-is-missing", "poses", "imu")
 
 
 @pytest.mark.long
