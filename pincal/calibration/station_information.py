@@ -16,7 +16,7 @@ squares by
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Self
 
@@ -174,16 +174,26 @@ class SharedInformation:
         """It about a joint fit of the F parameters."""
         whole = Form.of(self.G.sum(axis=0), self.g.sum(axis=0))
         found = Posterior(whole, self.sizes, self.offsets)
-        seen = np.diagonal(self.G, axis1=1, axis2=2) > _SEEN * self.whole
         return StationsInformation(
             G=self.G,
             b=self.g - self.G @ found.step,
-            seen=seen & np.isfinite(self.sizes) & ~self.lasting,
+            seen=self._seen,
             C=found.covariance,
             widths=CHANGES.wide * self.sizes,
             usual=self.usual,
             explained=float(whole.g @ found.step),
+            step=found.step,
         )
+
+    def about(self, joint: StationsInformation) -> StationsInformation:
+        """Return it about a joint fit of the same sum, of which it is another division."""
+        return replace(joint, G=self.G, b=self.g - self.G @ joint.step, seen=self._seen)
+
+    @property
+    def _seen(self) -> np.ndarray:
+        """Whether a parameter may move and a station observes it, shape (K, F)."""
+        seen = np.diagonal(self.G, axis1=1, axis2=2) > _SEEN * self.whole
+        return np.asarray(seen & np.isfinite(self.sizes) & ~self.lasting)
 
 
 def _follows_motion(station: Station) -> bool:
@@ -232,6 +242,7 @@ class StationsInformation:
         widths: shape (F,), standard deviations of the priors of differences between stations.
         usual: shape (F,), as in :class:`SharedInformation`.
         explained: reduction of the squares by that step.
+        step: shape (F,), that step; empty where it is not asked for.
     """
 
     G: np.ndarray
@@ -241,6 +252,7 @@ class StationsInformation:
     widths: np.ndarray
     usual: np.ndarray
     explained: float = 0.0
+    step: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def released(
         self, chosen: Sequence[Together]
@@ -400,7 +412,8 @@ class Apart:
     @classmethod
     def of(cls, shared: SharedInformation, parts: int) -> Self:
         """Return it from the information of so many parts of each station."""
-        return cls(shared.joined(parts).together, shared.together)
+        joined = shared.joined(parts).together
+        return cls(joined, shared.about(joined))
 
     def noise(self, chosen: Sequence[Together], group: Together) -> tuple[float, float]:
         """Return the variance by which a group differs between parts of one station, and its

@@ -103,9 +103,9 @@ class Posterior:
         H = self.form.H
         g = self.form.g
         D = self.sizes[..., prior]
-        S = (H[..., prior[:, None], prior] - H[..., prior[:, None], frames] @ F) * _outer(D)
         reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
-        information, V = np.linalg.eigh(0.5 * (S + _turned(S)))
+        # Of many parameters each matrix more is felt.
+        information, V = np.linalg.eigh(_symmetric(self._scaled_complement))
         floor = np.maximum(self._floor, NULL * 1e-300)
         information = np.where(information > floor[..., None], information, 0.0)
         data = np.where(information > 0.0, _times(_turned(V), reduced), 0.0)
@@ -115,7 +115,8 @@ class Posterior:
         step = np.empty_like(g)
         step[..., prior] = shift
         step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
-        C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
+        C = (V / (information + 1.0)[..., None, :]) @ _turned(V)
+        C *= _outer(D)
         covariance = np.empty(H.shape)
         carried = F @ C
         covariance[..., prior[:, None], prior] = C
@@ -123,6 +124,16 @@ class Posterior:
         covariance[..., prior[:, None], frames] = -_turned(carried)
         covariance[..., frames[:, None], frames] = inverse + carried @ _turned(F)
         return step, covariance, information, V
+
+    @property
+    def _scaled_complement(self) -> np.ndarray:
+        """Information on what has a prior, frames eliminated, in units of the priors."""
+        prior, frames = self._parts
+        H = self.form.H
+        S = H[..., prior[:, None], prior]
+        S -= H[..., prior[:, None], frames] @ self._follow
+        S *= _outer(self.sizes[..., prior])
+        return np.asarray(S)
 
     @property
     def step(self) -> np.ndarray:
@@ -586,6 +597,13 @@ def eliminate(
     left.H[...] -= _turned(across) @ carried
     left.g[...] -= _times(_turned(across), alone.step)
     return left.sum(), Eliminated(alone, carried, own, np.arange(len(shared)))
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    """Return the symmetric part of a matrix."""
+    both = matrix + _turned(matrix)
+    both *= 0.5
+    return np.asarray(both)
 
 
 def _turned(matrix: np.ndarray) -> np.ndarray:

@@ -83,8 +83,11 @@ class Form:
 
         If they are zero the gain is chi-square with as many degrees of freedom.
         """
-        along = self.g[at] @ self.root(at, tolerance)
-        return float(along @ along), len(along)
+        # As :meth:`root`, which would be two more matrices of many parameters.
+        values, vectors, scale = _scaled_axes(self.H[np.ix_(at, at)], self.whole[at])
+        seen = values > tolerance
+        along = ((self.g[at] * scale) @ vectors)[seen] ** 2 / values[seen]
+        return float(along.sum()), len(along)
 
     def chance(self, at: np.ndarray, tolerance: float = SEEN) -> float:
         """Return the p-value of the gain, for the hypothesis that these parameters are zero."""
@@ -275,7 +278,17 @@ def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.nd
         whole: shape (n,), the diagonal by which information is scaled.
         tolerance: scaled information below which a direction is unobserved.
     """
-    scale = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
-    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
+    values, vectors, scale = _scaled_axes(H.copy(), whole)
     seen = values > tolerance
     return np.asarray((scale[:, None] * vectors[:, seen]) / np.sqrt(values[seen]))
+
+
+def _scaled_axes(H: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the eigenvalues and eigenvectors of information scaled by a diagonal ``whole``, and
+    the factors by which it is; ``H`` is overwritten.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(whole, 1e-300))
+    H *= scale
+    H *= scale[:, None]
+    values, vectors = np.linalg.eigh(H)
+    return values, vectors, scale
