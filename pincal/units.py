@@ -459,6 +459,17 @@ def show_chance(p_value: float) -> str:
     return f"{p_value:.2g}" if p_value >= _LEAST_CHANCE else f"<{_LEAST_CHANCE:.0e}"
 
 
+def chance_words(p_value: float) -> str:
+    """Return a p-value in words.
+
+    Example:
+        >>> [chance_words(p_value) for p_value in (0.27, 1.0, 1e-300, 0.0, math.nan)]
+        ['p = 0.27', 'p = 1', 'p <1e-10', 'p <1e-10', 'p not known']
+    """
+    shown = show_chance(p_value)
+    return f"p = {shown}" if shown[0].isdigit() else f"p {shown}"
+
+
 def show_value(quantity: Quantity | None) -> str:
     """Return a quantity in its readable unit, without the unit.
 

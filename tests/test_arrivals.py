@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pincal import Options, Robot
+from pincal import Options, Robot, Setup
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.identify.arrival_likelihood import StopSums
+from pincal.identify.arrival_likelihood import StopSums, information_of_stations
 from pincal.identify.arrivals import _shared_noise, arrival_noise, poses_of, shares_stops
 from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.drive_levers import drive_levers
@@ -18,7 +18,7 @@ from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit
 from pincal.identify.whitening import StopNoise
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.model.effects import GEOMETRIC
+from pincal.model.effects import ELASTIC, GEOMETRIC
 
 URDF = kuka_urdf_path()
 NOISE = 2e-5
@@ -283,3 +283,32 @@ def test_what_other_stations_know_of_the_robot_is_known(arrival: float) -> None:
     assert found is not None
     assert np.sqrt(np.mean(found.drives[:5] ** 2)) == pytest.approx(arrival, rel=0.25)
     assert found.readings[1] == pytest.approx(NOISE, rel=0.1)
+
+
+def wires(poses: int, *, seed: int = 0) -> Measurements:
+    """Return distances of the same machine from three anchors in each pose."""
+    rng = np.random.default_rng(seed)
+    machine = sim.TrueMachine.from_urdf(URDF, tip="tool0").draw_errors(rng, sigma_length=3e-4, sigma_angle=3e-4)
+    q = sim.plan_poses(machine.nominal, poses, rng)
+    columns = sim.Instrument(targets=(0.1, 0.05, 0.2)).measure(machine, q)
+    place = np.column_stack([columns[axis] for axis in "xyz"])
+    anchors = place.mean(axis=0) + rng.uniform(-4.0, 4.0, (3, 3))
+    lengths = np.linalg.norm(place[:, None] - anchors, axis=2) + NOISE * rng.standard_normal((poses, 3))
+    names = np.tile(["a", "b", "c"], poses)
+    return measurements_from_arrays(machine.names, np.repeat(q, 3, axis=0), distance=lengths.ravel(), anchor=names)
+
+
+def test_no_station_takes_more_of_the_robot_than_it_tells() -> None:
+    """Wires leave open where anchors and base stand together; rounding in that passed for a scatter of drives elsewhere."""
+    tables = {"many": measured(30, 0.0), "wires": wires(60)}
+    # With a point that is known, if only to another station, the base is sought in an instrument's frame.
+    setup = Setup(points={"elsewhere": (0.0, 0.0, 0.0)})
+    fit = fit_tables(Robot.from_urdf(URDF), tables, Options(effects=ELASTIC, setup=setup))
+    for of in information_of_stations(fit):
+        size = np.sqrt(np.maximum(np.diag(of), 1e-300))
+        told = np.diag(of) > 0.0
+
+        assert np.diag(of).min() >= 0.0
+        assert np.linalg.eigvalsh((of / np.outer(size, size))[np.ix_(told, told)]).min() > -1e-5
+    assert all(station.arrival is None for station in fit.problem.stations)
+    assert fit.solution.sigma == pytest.approx([NOISE, NOISE], rel=0.2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -87,3 +88,9 @@ def test_a_problem_can_be_known_by_heart() -> None:
     fields_and_methods = {name for name in (*Problem.__annotations__, *vars(Problem)) if not name.startswith("_")}
 
     assert len(fields_and_methods) <= 20
+
+
+def test_chances_are_written_by_one_rule() -> None:
+    """No file but that of units gives a p-value a format of its own, by which 1e-130 and no number at all were shown."""
+    written = [file.name for file in HOUSE.files if re.search(r"p_value\)?:[.0-9]*[efg]\b", file.text)]
+    assert set(written) <= {"units"}, written

@@ -23,6 +23,7 @@ from pincal.units import (
     Unit,
     fixed,
     readable_unit,
+    show_chance,
     show_measured,
     show_plainly,
     show_rounded,
@@ -451,7 +452,7 @@ def repeated_table(stations: Sequence[StationRecord]) -> Table | None:
         accuracy = {} if iso is None else next(iter(iso["calibrated"].values()))
         numbers = (accuracy.get(key, {}).get("mean") for key in ("AP_mm", "RP_mm"))
         counts = (None, None) if iso is None else (sum(iso["poses"].values()), iso["cycles"]["max"])
-        test = (None, "") if lack is None else (lack.F, f"{lack.p_value:.2g}")
+        test = (None, "") if lack is None else (lack.F, show_chance(lack.p_value))
         verdict = (
             "" if lack is None else "incomplete" if lack.is_significant else "within the scatter"
         )

@@ -37,6 +37,7 @@ from pincal.report.words import effect_meaning
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.thresholds import Count, Scale
 from pincal.units import (
+    chance_words,
     fixed,
     format_readable,
     format_small,
@@ -77,12 +78,6 @@ def headline(found: DiagnosisFile) -> str:
         for change in found.changes
     )
     return f"The robot has changed ({chance_words(found.p_value)}): {changes}."
-
-
-def chance_words(p_value: float) -> str:
-    """Return a p-value in words, such as "p = 0.27" or "p <1e-10"."""
-    shown = show_chance(p_value)
-    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
 
 
 def in_words(change: EffectName) -> str:

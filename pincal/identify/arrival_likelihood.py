@@ -37,6 +37,7 @@ from scipy.special import chdtri
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.fit import ModelFit
+from pincal.identify.quadratic import ROUNDING, root_of_inverse
 from pincal.identify.visit_numbers import VISITS
 from pincal.thresholds import Count, Scale
 
@@ -265,10 +266,12 @@ def information_of_stations(fit: ModelFit) -> list[np.ndarray]:
         at = np.arange(len(fit.values))[places][free]
         own = ~shared[at]
         sizes = np.minimum(alone.priors.sizes[free][own], _ANYWHERE)
-        inverse, _ = _inverse(H[np.ix_(own, own)] + np.diag(sizes**-2.0))
-        across = H[np.ix_(~own, own)]
+        of_own = H[np.ix_(own, own)] + np.diag(sizes**-2.0)
+        # What readings do not tell of a station, such as where anchors and base stand together,
+        # takes nothing from the robot; divided by next to nothing, its rounding took more than all.
+        taken = H[np.ix_(~own, own)] @ root_of_inverse(of_own, np.diag(of_own), ROUNDING)
         whole = np.zeros((len(shared),) * 2)
-        whole[np.ix_(at[~own], at[~own])] = H[np.ix_(~own, ~own)] - across @ inverse @ across.T
+        whole[np.ix_(at[~own], at[~own])] = H[np.ix_(~own, ~own)] - taken @ taken.T
         found.append(whole)
     return found
 

@@ -124,18 +124,19 @@ def noise_words(noise: Mapping[str, Any]) -> str:
 def noise_example(noise: Mapping[str, Any]) -> str:
     """Return the option that states the noise of an instrument, with an example of its value; ""
     where readings are neither lengths nor pixels, or where it was stated and that of another
-    instrument, such as an IMU, was not.
+    instrument, such as an IMU or a camera, was not.
 
     Example:
         >>> noise_example({"sigma_px": 0.3}), noise_example({"sigma_m_s2": 0.02})
         ('--noise 0.1px', '')
-        >>> noise_example({"sigma_m": 5e-5, "sigma_m_s2": 0.02, "declared": ["sigma_m"]})
+        >>> noise_example({"sigma_m": 5e-5, "sigma_px": 0.1, "declared": ["sigma_m"]})
         ''
     """
     examples = {"sigma_m": "0.05mm", "sigma_px": "0.1px"}
-    open_ones = {name for name in noise if name not in noise.get("declared", ())}
-    value = next((value for name, value in examples.items() if name in open_ones), "")
-    return f"--noise {value}" if value else ""
+    # The option takes one value: that of another kind of readings would replace it.
+    is_stated = any(name in examples for name in noise.get("declared", ()))
+    value = next((value for name, value in examples.items() if name in noise), "")
+    return f"--noise {value}" if value and not is_stated else ""
 
 
 def noise_to_state(noise: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC
 from pincal.parameters import Estimate
 from pincal.robot.robot import Robot
+from pincal.units import chance_words
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,8 @@ class TypePrior:
         if not member.is_usual:
             options = replace(options, earlier=of.prior_of(robot, effects, member))
         compared = (
-            f"compared with {counted(of.machines, 'robot')} of its type, p = {member.p_value:.2g}"
+            f"compared with {counted(of.machines, 'robot')} of its type, "
+            f"{chance_words(member.p_value)}"
         )
         if not member.off:
             return options, (f"the robot agrees with the others ({compared})",)
