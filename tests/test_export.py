@@ -29,7 +29,8 @@ from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.robot_frames import in_base_frame
 from pincal.errors import BadInputError
-from pincal.export import FORMATS, Exported, Format, export_model, numpy_source
+from pincal.export import FORMATS, Exported, Format, c_source, export_model, numpy_source
+from pincal.export.numpy_source import checked_formulas
 from pincal.model.at_station import AtStation
 from pincal.model.catalogue.bearing_features import ObliqueBearing
 from pincal.model.catalogue.drives import AxisWobble
@@ -275,6 +276,13 @@ def test_the_whole_catalogue_at_once_is_exported(kuka: Robot, rng: np.random.Gen
     check_python(everything(kuka), rng)
 
 
+def share_formulas(calibrated: FittedRobot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let C and NumPy be written from the same formulas, whose making takes most of an export."""
+    shared = cache(lambda frame: checked_formulas(calibrated, frame))
+    for of in (numpy_source, c_source):
+        monkeypatch.setattr(of, "checked_formulas", lambda _, frame: shared(frame))
+
+
 @pytest.mark.long
 # Each arm and each way before each commit, both ways of every arm before a release.
 @pytest.mark.parametrize(
@@ -286,10 +294,11 @@ def test_the_whole_catalogue_at_once_is_exported(kuka: Robot, rng: np.random.Gen
     ],
 )
 def test_compiled_c_is_the_model_with_all_effects(
-    arm: str, equilibrium: bool, tmp_path: Path, rng: np.random.Generator
+    arm: str, equilibrium: bool, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One model with the whole catalogue, two targets: C and NumPy agree with it, forward and back."""
     calibrated = everything(Robot.from_urdf(ARMS[arm]()), equilibrium=equilibrium)
+    share_formulas(calibrated, monkeypatch)
     # Of one arm by all that a compiler does; the sums of the others are no longer.
     compiled = Compiled.of(calibrated, tmp_path, optimised=arm == "ur10")
     at = poses_of(calibrated, 1000, rng)

@@ -36,7 +36,7 @@ def run_without(package: str, *words: object, folder: Path) -> subprocess.Comple
             "pip install example-robot-data-loaders",
         ),
         ("matplotlib", ["calibrate", "robot.urdf", "t.csv", "--out", "results"], "pip install matplotlib"),
-        ("matplotlib", ["demo"], "pip install matplotlib"),
+        pytest.param("matplotlib", ["demo"], "pip install matplotlib", marks=pytest.mark.rates),
     ],
 )
 def test_what_needs_a_missing_package_is_refused(package: str, words: list[str], advice: str, tmp_path: Path) -> None:

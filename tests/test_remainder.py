@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -15,7 +14,7 @@ from machines import kuka as true_kuka
 from test_cell_file import VERBS
 from test_corrector import answered
 from test_corrector import states_of as page_states
-from test_export import Compiled, calibrated_of, columns_of, conditions_of, loaded, poses_of, units_of
+from test_export import Compiled, calibrated_of, columns_of, conditions_of, loaded, poses_of, share_formulas, units_of
 
 from pincal import load_model
 from pincal import simulate as sim
@@ -34,11 +33,9 @@ from pincal.discover.smooth_judge import LeftOutRegions, joined_regions
 from pincal.discover.smooth_likelihood import likely_remainders
 from pincal.discover.smooth_rest import with_remainder
 from pincal.errors import BadInputError
-from pincal.export import c_source as c_exports
 from pincal.export import export_model
-from pincal.export import numpy_source as numpy_exports
 from pincal.export.formulas import formulas_of
-from pincal.export.numpy_source import checked_formulas, numpy_source
+from pincal.export.numpy_source import numpy_source
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import write_table
@@ -222,10 +219,7 @@ def test_exports_have_its_uncertainty(
 ) -> None:
     """C and NumPy state the model's u, though a load bends the arm otherwise where parameters nobody sees apart differ."""
     calibrated = found.calibration.fit
-    # Both are of the same formulas, whose making takes most of an export.
-    shared = cache(lambda frame: checked_formulas(calibrated, frame))
-    for of in (numpy_exports, c_exports):
-        monkeypatch.setattr(of, "checked_formulas", lambda _, frame: shared(frame))
+    share_formulas(calibrated, monkeypatch)
     at = replace(poses_of(calibrated, 200, rng), payload_centre=calibrated.payload_centre)
     expected = calibrated.position_sigma(at)
     source = loaded(export_model(calibrated, "python").text)
