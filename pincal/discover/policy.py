@@ -170,13 +170,13 @@ class Policy:
         "what a reader can act on",
     )
     enough_readings: int = number(
-        12000,
+        9000,
         "readings",
         "benchmark.py",
         "readings from which effects are chosen; in the end all rows are fitted and "
         "resolve the curves",
         "an effect that reduces the squares of more readings by 100 still reduces these enough; "
-        "UR10 B gives the same names",
+        "12000 leave a real UR10 1 % more exact, in up to three times the time",
     )
 
     def least_gain(self, squares: float, *, declared: bool) -> float:
