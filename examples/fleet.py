@@ -27,7 +27,7 @@ from pincal.fleet.fleet_pages import fleet_page, type_page
 from pincal.fleet.jobs import CalibrateTables, run_job, visits_of
 from pincal.fleet.robot_type import calibrate_of_type, learn_type
 from pincal.fleet.store import open_store
-from pincal.fleet.summary import at_tool, history_lines, look_first, type_lines
+from pincal.fleet.summary import at_tool, group_lines, history_line, look_first, type_lines
 
 NOISE = 5e-5  # standard deviation of one coordinate [m]
 FURTHER, POSES = 5, 8  # machines that are new, and poses of each
@@ -110,7 +110,7 @@ def main() -> None:
             store.add_table(f"R{k + 1:02d}", day, measured(robot, machine, 10, 1000 * week + k), role="check")
     done = run_job(store, CalibrateTables(robot, options, of, role="check"))
     found = fleet_changes(of, visits_of(store))
-    print(*history_lines(found), sep="\n")
+    print(history_line(found), *(f"{group}: {words}" for group, words in group_lines(found)), sep="\n")
     print(look_first(found, 5))
     Path("fleet.html").write_text(fleet_page(of, found, alpha=0.05, version=""), encoding="utf-8")
 
