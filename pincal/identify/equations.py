@@ -50,6 +50,8 @@ _FEW: Count = 10
 _MOST_COLUMNS: Count = 2_000_000
 # Size of the normal equations of folds that are summed at once [bytes].
 _MOST_AT_ONCE: Count = 64_000_000
+# Size of those of which posteriors are worked out together; for larger ones it saves no time.
+_MOST_TOGETHER: Count = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -541,13 +543,15 @@ class WithoutFolds:
     @property
     def together(self) -> Posterior | None:
         """The posteriors without each fold, with a leading axis; None where parameters of stations
-        are eliminated.
+        are eliminated, or equations are large.
         """
         whole = self.whole
         if whole.own or len(self.parts) > 1:
             return None
         (part,) = self.parts
         H = part.H[0, : len(self.folds)]
+        if H.nbytes > _MOST_TOGETHER:
+            return None
         g = part.g[0, : len(self.folds)]
         lost = np.diagonal(H, axis1=-2, axis2=-1)
         form = Form(whole.form.H - H, whole.form.g - g, whole.form.whole - lost)
