@@ -43,6 +43,7 @@ from pincal.calibration.covered import Covered
 from pincal.calibration.discrepancy import Discrepancy
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.solve_ik import solve_ik
+from pincal.discover.policy import POLICY, Policy
 from pincal.discover.run import Discovery, run_discovery
 from pincal.fleet.jobs import CalibrateTables, run_job
 from pincal.fleet.robot_type import learn_type
@@ -332,6 +333,17 @@ def time_splits() -> Iterator[Line]:
             yield line("    the worst of them", max(left), None, "{:.4f} mm")
 
 
+def time_sample_sizes() -> Iterator[Line]:
+    """Tell what discoveries of the largest series cost and leave by the readings from which effects are chosen."""
+    for readings in (6000, 7500, 9000, 12000):
+        if table := _series("A"):
+            begun = time.process_time()
+            found = _discover_ur10(table, 1, replace(POLICY, enough_readings=readings)).report
+            name = f"discover ur10 series A, {len(found['effects'])} effects chosen from {readings} readings"
+            yield line(name, found["gap"]["after"]["mean_mm"], None, "{:.4f} mm")
+            yield line("    processor time", time.process_time() - begun, None, "{:.0f} s")
+
+
 def _discover_500(**options: Any) -> Callable[[], object]:
     """Return a discovery that ran once."""
     case = draw_case("backlash+thermal_offset", 0, n=500)
@@ -353,9 +365,10 @@ def _series(name: str) -> Measurements | None:
     return read_measurements(path, Robot.from_urdf("ur10").joint_names) if path.is_file() else None
 
 
-def _discover_ur10(table: Measurements, seed: int = 0) -> Discovery:
+def _discover_ur10(table: Measurements, seed: int = 0, policy: Policy = POLICY) -> Discovery:
     options = Options(effects=GEOMETRIC)
-    return run_discovery(Robot.from_urdf("ur10"), table, options, moment_frames=MOMENT_FRAMES, split="blocked", seed=seed)
+    robot = Robot.from_urdf("ur10")
+    return run_discovery(robot, table, options, policy=policy, moment_frames=MOMENT_FRAMES, split="blocked", seed=seed)
 
 
 def time_million() -> Iterator[Line]:
@@ -626,6 +639,7 @@ SLOW: dict[str, Callable[[], Iterator[Line]]] = {
     "stability": time_stability,
     "large-series": time_large_series,
     "splits": time_splits,
+    "sample-sizes": time_sample_sizes,
     "million": time_million,
     "ten-million": time_ten_million,
     "real-tables": time_real_tables,
