@@ -151,6 +151,7 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monk
     assert tell_apart(verdict, step).startswith("the two differ by less than 0.001 mm, too little for any instrument;")
 
 
+@pytest.mark.long
 def test_poses_to_tell_two_changes_apart_are_chosen_by_what_no_fit_takes_up(change_examples: Path) -> None:
     """A dozen of them tells more than most at random do, of nearly any rival; if fifty tell too little, little remains."""
     model = calibrated(change_examples / "cases", "loose40_cobot_6r")

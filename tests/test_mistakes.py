@@ -166,6 +166,7 @@ def test_a_longer_link_moves_what_follows_it() -> None:
         resized(robot, {"joint_6.a": 0.03})
 
 
+@pytest.mark.long
 def test_signs_zeros_couplings_and_lengths_are_searched_together() -> None:
     """Among all combinations the true one leaves least of a linear fit, but for other words for the same arm."""
     robot, _ = robot_of("ur5")

@@ -243,6 +243,7 @@ def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     assert freed.values[freed.estimate.names.index("joint_2.a")] != 0.0
 
 
+@pytest.mark.long
 def test_few_positions_beside_an_imu_are_no_accuracy(day: Path) -> None:
     """Four are fitted exactly: of unknown noise their error would be 0.0000 mm; a declared noise is kept."""
     imu = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]

@@ -174,6 +174,7 @@ def test_a_wrong_distance_between_sockets_is_named(off: float, machine: sim.True
     assert all(abs(one.found - true["ab"]) < 4.0 * one.sigma < 2e-4 for one in found)
 
 
+@pytest.mark.long
 def test_the_doubt_of_a_distance_stands_first(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Before that of residuals that no arm has, of which it is the reason."""
     table = contacts(machine, kuka, noise=5e-5)

@@ -368,7 +368,7 @@ def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(
     assert errors["regions"]["mean_mm"] < regions and errors["stretches"]["mean_mm"] < stretches
 
 
-@pytest.mark.parametrize(("phi", "words"), [(0.7, "fitting all"), (0.995, "repeating")])
+@pytest.mark.parametrize(("phi", "words"), [(0.7, "fitting all"), pytest.param(0.995, "repeating", marks=pytest.mark.long)])
 def test_a_sample_of_rows_far_apart_is_searched_once(
     kuka: Robot, phi: float, words: str, caplog: pytest.LogCaptureFixture
 ) -> None:
