@@ -61,7 +61,7 @@ In motion:
   pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 \
 --out tuesday
 Then:
-  pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
+  pincal check tracker.csv               # with the cell.toml that simulate writes beside it
 """
 
 
