@@ -107,7 +107,7 @@ def _keys(kind: type[HiddenEffect]) -> list[str]:
     cell="written",
 )
 def simulate(arguments: SimulateArguments) -> Exit:
-    """Simulate the measurement of a machine with chosen errors and hidden effects."""
+    """Simulate measurements of a machine with chosen errors."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
