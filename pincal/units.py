@@ -252,6 +252,7 @@ _READABLE = {
     "m": Unit(1e3, "mm"),
     "rad": Unit(1e3, "mrad"),
     "px": Unit(1.0, "px"),
+    "rad/s": Unit(1e3, "mrad/s"),
     "rad/(N m)": Unit(1e6, "µrad/(N m)"),
 }
 # SI unit -> unit in which joint positions and their changes are shown, as pendants do.

@@ -15,7 +15,11 @@ from typing import Any
 VOID = ("meta", "br", "link", "img", "hr", "wbr")
 NUMBER = re.compile(r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 # What a unit on a page is in SI units: these are few, and no business of the library's own tables.
-IN_SI = {"mm": 1e-3, "mrad": 1e-3, "µrad": 1e-6, "µm": 1e-6, "px": 1.0, "ppm": 1e-6, "%": 1e-2, "µrad/(N m)": 1e-6}
+IN_SI = {
+    "mm": 1e-3, "mrad": 1e-3, "mrad/s": 1e-3, "µrad": 1e-6, "µm": 1e-6, "px": 1.0, "ppm": 1e-6, "%": 1e-2, "µrad/(N m)": 1e-6
+}  # fmt: skip
+# How names of entries end that are in SI units.
+IN_NAMES = {"_m": "m", "_rad": "rad", "_rad_s": "rad/s"}
 UNIT = "|".join(sorted(map(re.escape, IN_SI), key=len, reverse=True))
 
 
@@ -106,7 +110,7 @@ def entry(pointer: str, files: Mapping[str, Any]) -> tuple[Any, str]:
         inside, key = at, part.replace("~1", "/").replace("~0", "~")
         at = at[int(key)] if isinstance(at, list) else at[key]
     unit = inside.get("unit", "") if isinstance(inside, dict) else ""
-    return at, unit or {"m": "m", "rad": "rad"}.get(key.rpartition("_")[2], "")
+    return at, unit or next((si for end, si in IN_NAMES.items() if key.endswith(end)), "")
 
 
 def disagreements(page: PageNumbers, files: Mapping[str, Any]) -> Iterator[str]:

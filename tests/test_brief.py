@@ -15,7 +15,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.caveats import CaveatKind
 from pincal.cli.brief import print_brief
-from pincal.discover.cli.search_screen import _by_joint, _listed
+from pincal.discover.cli.search_screen import _by_joint, _forms, _listed
 from pincal.discover.discovery_file import FoundEffect, Stability
 from pincal.notes import Note, Severity
 from pincal.report.judgement import Act, NextStep, steps_after
@@ -245,6 +245,18 @@ def test_effects_without_a_name_are_told_apart() -> None:
 
     assert _listed(names[:2], ["", ""]) == "; ".join(f"unnamed of a (curve of a, tilt {on})" for on in TILTS[:2])
     assert _by_joint([*names, once]) == "unnamed of a (4 times); backlash of b"
+
+
+def test_hints_are_counted_before_names_are(calibrated: Calibration) -> None:
+    """A doubt leaves few lines: nine names on six joints do not fit, and those that are sure are said."""
+    joints = [f"some_long_name_of_joint_{k}" for k in range(9)]
+    sure = [FoundEffect(effect="gear_eccentricity", joint=at, stability=Stability(9, 10), **PLAIN) for at in joints[:4]]
+    hints = [FoundEffect(effect="gear_ripple", joint=at, stability=Stability(1, 10), **PLAIN) for at in joints]
+    run_ = replace(calibrated, result=replace(calibrated.result, warnings=(Note(Severity.DOUBT, "long; " * 60, ()),)))
+    lines = shown(run_, found=_forms([*hints, *sure]))
+
+    assert said(lines, "found").endswith("; 9 hints in the report")
+    assert all(at in said(lines, "found") for at in joints[:4])
 
 
 def test_the_first_step_is_the_act_that_the_verdict_asks_for(calibrated: Calibration) -> None:

@@ -169,7 +169,7 @@ def test_a_hole_that_is_too_wide_does_not_conform(camera: FittedRobot, rng: np.r
     assert "does not conform: 1 of 3 values (h1 diameter)" in verdict_words(wide)
     edge = measured(camera, seen_panel(camera, rng, wider=2.5e-4), tmp_path).found
     assert edge.features[0].values["diameter"].decision == "undecided"
-    assert verdict_words(edge).startswith("Undecided: 1 of 3 values")
+    assert verdict_words(edge).startswith("Undecided: 1 of 3 values lies too near to a limit for its uncertainty; the")
 
 
 def test_every_number_of_the_page_is_in_its_file(camera: FittedRobot, rng: np.random.Generator, tmp_path: Path) -> None:

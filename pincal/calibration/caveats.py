@@ -154,8 +154,7 @@ class CaveatKind(Enum):
     DEPENDENT_ROWS = (
         "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; "
         "look for what changed during the measurement (the instrument's set-up, temperature, the "
-        "clamping of robot and target), or for an effect that neighbouring poses share (pincal "
-        "discover)"
+        "clamping of robot and target), or for an effect that neighbouring poses share"
     )
     LEFT_IN_MOTION = (
         "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks "

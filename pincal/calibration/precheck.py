@@ -50,8 +50,8 @@ _FURTHER: Place[Callable[[Robot, ModelFit], Further]] = Place("prechecks")
 
 @dataclass(frozen=True)
 class JointRange:
-    """Range and limits of a joint's positions in a table [rad or m], and the number of distinct
-    ones.
+    """Range and limits of a joint's positions in a table in its unit, "rad" or "m", and the number
+    of distinct ones.
     """
 
     joint: str
@@ -60,6 +60,7 @@ class JointRange:
     lower_limit: float | None
     upper_limit: float | None
     distinct: int
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -200,9 +201,11 @@ def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
     """
     bounds = np.full((2, robot.n_joints), np.inf)
     bounds[:, robot.own_joints] = robot.lower[robot.own_joints], robot.upper[robot.own_joints]
-    for name, q, *limits in zip(robot.joint_names, poses.T, *bounds, strict=True):
+    joints = zip(robot.joint_names, robot.joint_units, strict=True)
+    for (name, unit), q, *limits in zip(joints, poses.T, *bounds, strict=True):
         lower, upper = (float(limit) if np.isfinite(limit) else None for limit in limits)
-        yield JointRange(name, float(q.min()), float(q.max()), lower, upper, distinct_values(q))
+        covered = (float(q.min()), float(q.max()))
+        yield JointRange(name, *covered, lower, upper, distinct_values(q), unit)
 
 
 def _expectations(fit: ModelFit) -> Iterator[Expectation]:

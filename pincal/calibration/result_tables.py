@@ -301,15 +301,14 @@ def _rows_of_station(
 
 def clock_words(clock: ClockRecord) -> str:
     """Return offset and drift of an instrument's clock with 95 % intervals, in words."""
-    half = f"{1e3 * INTERVAL * clock.offset_sigma_s:.2g} ms"
     words = (
-        f"{clock.offset_s:+.5f} s ± {half}, drift {clock.drift_ppm:+.1f} ± "
-        f"{INTERVAL * clock.drift_sigma_ppm:.2g} ppm"
+        f"{clock.offset_s:+.5f} s ± {_half(1e3 * clock.offset_sigma_s)} ms, drift "
+        f"{clock.drift_ppm:+.1f} ± {_half(clock.drift_sigma_ppm)} ppm"
     )
     if clock.gyro_early_s is not None and clock.gyro_early_sigma_s is not None:
         words += (
             f"; its gyroscope {1e3 * clock.gyro_early_s:+.2f} ± "
-            f"{1e3 * INTERVAL * clock.gyro_early_sigma_s:.2g} ms"
+            f"{_half(1e3 * clock.gyro_early_sigma_s)} ms"
         )
     words += "".join(f"; {words_of_step}" for words_of_step in _step_words(clock))
     return f"{clock.station}: {words}" if clock.station else words
@@ -318,8 +317,18 @@ def clock_words(clock: ClockRecord) -> str:
 def _step_words(clock: ClockRecord) -> Iterator[str]:
     """Yield the steps of a clock with 95 % intervals, in words."""
     for step in clock.steps:
-        half = 1e3 * INTERVAL * step.size_sigma_s
-        yield f"from {step.at_s:.6g} s on {1e3 * step.size_s:+.2f} ± {half:.2g} ms"
+        half = _half(1e3 * step.size_sigma_s)
+        yield f"from {step.at_s:.6g} s on {1e3 * step.size_s:+.2f} ± {half} ms"
+
+
+def _half(sigma: float) -> str:
+    """Return half of a 95 % interval, given the standard deviation, to two digits.
+
+    Example:
+        >>> _half(0.1502), _half(6.1)
+        ('0.30', '12')
+    """
+    return f"{INTERVAL * sigma:#.2g}".removesuffix(".")
 
 
 def clock_table(clocks: Sequence[ClockRecord]) -> Table:

@@ -455,7 +455,7 @@ def _settings(reads_cell: bool, states_identity: bool) -> Iterator[_Described]:
                 metavar="FILE",
                 expose_value=False,
                 help="File that describes the cell: robot, noise and more; none for none.  "
-                "[default: cell.toml beside the table]",
+                "[default: cell.toml beside the table, or in the current folder without a table]",
             ),
         )
     if not states_identity:

@@ -39,6 +39,7 @@ _ORDER = (
     "doubt",
     "worth",
     "places",
+    "hints",
     "found",
 )
 
@@ -133,8 +134,19 @@ def _doubts(told: Sequence[Note]) -> Iterator[_Part]:
     if not doubts:
         return
     others = f" ({counted(len(doubts) - 1, 'more doubt')} in the report)" if doubts[1:] else ""
-    short = doubts[0] if len(doubts[0]) <= _DOUBT else f"{doubts[0][:_DOUBT].rsplit(' ', 1)[0]} ..."
+    short = doubts[0] if len(doubts[0]) <= _DOUBT else _beginning(doubts[0])
     yield _Part("doubt:", doubts[0] + others, [("doubt", short + others)], "bold red")
+
+
+def _beginning(doubt: str) -> str:
+    """Return the beginning of a long doubt: whole clauses if there are any.
+
+    Example:
+        >>> _beginning(f"rows differ; they were weighted; look for {'what changed ' * 20}")
+        'rows differ; they were weighted ...'
+    """
+    head = doubt[:_DOUBT]
+    return f"{head.rsplit('; ' if '; ' in head else ' ', 1)[0]} ..."
 
 
 def _errors(calibration: Calibration) -> Iterator[_Part]:
@@ -189,10 +201,10 @@ def _beside(calibration: Calibration) -> Iterator[_Part]:
 
 def _found(forms: Sequence[str]) -> Iterator[_Part]:
     """Yield the effects that a search found, given in full, without the evidence, by joint alone,
-    and counted.
+    with hints counted, and counted.
     """
     if forms:
-        names = ("evidence", "places", "found")
+        names = ("evidence", "places", "hints", "found")
         yield _Part("found   ", forms[0], list(zip(names, forms[1:], strict=False)))
 
 

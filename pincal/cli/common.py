@@ -53,12 +53,8 @@ to_option = partial(
 base_option = partial(
     option, "First link of the arm.", metavar="LINK", words="root of the URDF", in_cell=True
 )
-robot_argument = partial(
-    argument,
-    "ROBOT.urdf",
-    "URDF or xacro file, or the name of a robot that comes with example-robot-data.",
-    in_cell=True,
-)
+_ROBOT = "URDF or xacro file, or the name of a robot that comes with example-robot-data"
+robot_argument = partial(argument, "ROBOT.urdf", f"{_ROBOT}.", in_cell=True)
 xacro_option = partial(
     option,
     "Argument of a xacro file.",
@@ -275,7 +271,9 @@ class LinkOptions:
 class InputOptions:
     """A robot and tables of measurements."""
 
-    robot: str = robot_argument()
+    robot: str = argument(
+        "ROBOT.urdf", f"{_ROBOT}; may be left out where cell.toml names it.", in_cell=True
+    )
     data: tuple[Path, ...] = argument(
         "DATA.csv...",
         "Measurements, one row per measured pose (CSV, Excel or Parquet). Each of several "
@@ -362,7 +360,7 @@ class SetupOptions:
     """The noise of the instrument, and known parts of the measurement setup."""
 
     noise: tuple[float, str] | None = option(
-        "Standard deviation of one position or image coordinate.",
+        "Standard deviation of one position or image coordinate; it decides the verdict.",
         type=NoiseType(),
         metavar="0.05mm|0.1px",
         words="estimated",

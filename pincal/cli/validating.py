@@ -83,7 +83,7 @@ class ValidateArguments:
     ),
 )
 def validate(arguments: ValidateArguments) -> Exit:
-    """Report how accurate a calibrated model is on new measurements.
+    """Report how accurate a model is on new readings.
 
     The instrument may be anywhere: its placement is identified from the rows.
     """

@@ -70,10 +70,10 @@ def verdict_words(found: MeasuredFile) -> str:
             f"({few(wrong, _NAMED)}){more}."
         )
     if open_ones:
-        return (
-            f"Undecided: {open_ones} of {counted(decided, 'value')} lie too near to a limit for "
-            "their uncertainty; the others conform."
-        )
+        near = "too near to a limit for"
+        lie = f"lies {near} its" if open_ones == 1 else f"lie {near} their"
+        rest = "; the others conform" if open_ones < decided else ""
+        return f"Undecided: {open_ones} of {counted(decided, 'value')} {lie} uncertainty{rest}."
     return f"The part conforms: all of {counted(decided, 'value')}."
 
 

@@ -458,11 +458,11 @@ def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
             one.subject,
             one.since,
             one.found,
-            " or ".join((one.what, *one.equals[:2])),
+            _causes(one),
             _by(one),
             one.log_e / np.log(10.0),
         )
-        for one in reversed(found.changes)
+        for one in sorted(found.changes, key=lambda one: one.found, reverse=True)
         if groups in (None, one.is_group)
     ]
     note = (
@@ -520,7 +520,7 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
 
 def _first_rows(found: FleetHistory) -> list[tuple[Cell, ...]]:
     """Return the row of each robot that is to be looked at, in this order."""
-    what = {one.subject: _by_what(one, one.what) for one in found.changes}
+    what = {one.subject: _by_what(one, _causes(one)) for one in found.changes}
     return [
         (
             one.machine,
@@ -602,10 +602,8 @@ def _change_words(change: FleetChange) -> str:
     since = f"since {change.since}"
     if change.found != change.since:
         since += f" (found {change.found})"
-    what = " or ".join((change.what, *change.equals[:2]))
-    return (
-        f"changed {since}: {_by_what(change, what)}; odds {odds_words(change.log_e / np.log(10.0))}"
-    )
+    what = _by_what(change, _causes(change))
+    return f"changed {since}: {what}; odds {odds_words(change.log_e / np.log(10.0))}"
 
 
 def next_step(found: FleetHistory, store: str) -> str:
@@ -638,6 +636,11 @@ def plain_history(found: FleetHistory) -> dict[str, Any]:
         "changes": [one | {"equals": list(one["equals"])} for one in changes],
         "last": last,
     }
+
+
+def _causes(change: FleetChange) -> str:
+    """Return what has changed, and what explains it as well."""
+    return " or ".join((change.what, *change.equals[:2]))
 
 
 def _by_what(change: FleetChange, what: str) -> str:

@@ -96,8 +96,8 @@ def _fitted_frames(
     options: Options,
     executor: Executor | None,
 ) -> Solution:
-    """Return the fit of base and tool alone from start values, shape (P,), with the lens of
-    a camera.
+    """Return the fit of base and tool alone from start values, shape (P,), then with the lens of
+    a camera or the errors of an IMU.
 
     Args:
         problem: the stations.
@@ -114,8 +114,8 @@ def _fitted_frames(
     first = replace(course, label="base and tool", columns=of_next)
     found = solve(problem, values, free, *known, first)
     if lens.any():
-        camera = replace(course, label="camera")
-        found = solve(problem, found.values, free | lens, *known, camera)
+        seen = replace(course, label="base, tool and instrument")
+        found = solve(problem, found.values, free | lens, *known, seen)
     return found
 
 

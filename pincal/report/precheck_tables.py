@@ -7,7 +7,7 @@ from dataclasses import replace
 from pincal.calibration.precheck import DataReport, JointRange
 from pincal.calibration.result_tables import ParameterRow, parameter_table
 from pincal.result_table import Cell, Column, Kind, Table
-from pincal.units import fixed, show_percent
+from pincal.units import fixed, joint_unit, show_percent
 
 
 def covered_share(joint: JointRange) -> float | None:
@@ -18,19 +18,23 @@ def covered_share(joint: JointRange) -> float | None:
 
 
 def coverage_table(report: DataReport) -> Table:
-    """Return the covered range of each joint [rad or m]."""
+    """Return the covered range of each joint, as a pendant shows it."""
     columns = (
         Column("joint", kind=Kind.NAME),
-        Column("from", kind=Kind.NUMBER, show=fixed(3)),
-        Column("to", kind=Kind.NUMBER, show=fixed(3)),
+        Column("from", kind=Kind.NUMBER, show=fixed(1)),
+        Column("to", kind=Kind.NUMBER, show=fixed(1)),
         Column("limits", kind=Kind.NUMBER),
+        Column("unit", kind=Kind.LABEL),
         Column("covered", kind=Kind.NUMBER, show=show_percent),
     )
     rows: list[tuple[Cell, ...]] = []
     for joint in report.joints:
-        share = covered_share(joint)
-        limits = "none" if share is None else f"{joint.lower_limit:.3f} .. {joint.upper_limit:.3f}"
-        rows.append((joint.joint, joint.low, joint.high, limits, share))
+        factor, unit = joint_unit(joint.unit)
+        limits = "none"
+        if joint.lower_limit is not None and joint.upper_limit is not None:
+            limits = f"{joint.lower_limit * factor:.1f} to {joint.upper_limit * factor:.1f}"
+        covered = (joint.low * factor, joint.high * factor)
+        rows.append((joint.joint, *covered, limits, unit, covered_share(joint)))
     return Table("Coverage of the joint ranges", columns, tuple(rows))
 
 

@@ -66,6 +66,7 @@ from pincal.report.words import (
     TERMS,
     effect_meaning,
     elsewhere_words,
+    is_noise_declared,
     noise_keys,
     noise_words,
 )
@@ -93,6 +94,8 @@ _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 _LISTED: Count = 12
 # Number of parameters of an instrument that stand among those of the robot.
 _FEW_OWN: Count = 6
+# Rows of which fewer tell no 95 %: one of twenty may lie beyond it.
+_FEW: Count = 20
 # Joints whose errors are drawn, and identified parameters that are listed, before the rest is
 # folded: a page of two robots has twelve and more, and a phone shows one beneath the other.
 _DRAWN_JOINTS: Count = 8
@@ -135,21 +138,28 @@ def _notes(found: Sequence[Note]) -> Iterator[PageBlock]:
 
 
 def _headlines(subject: Subject) -> Iterator[Markup]:
-    """Yield what the calibration gained, the more telling first: of an IMU that is of the angles,
-    as most of its readings' errors are vibration and noise.
+    """Yield what the calibration gained, the more telling first: of an IMU alone that is of the
+    angles, as most of its readings' errors are vibration and noise.
     """
-    gain = subject.result.angle_gain
-    if gain is not UNSET:
-        at = f"{RESULT}/angle_gain"
-        yield rich(
-            "{} combinations of the {} angles of joints and links are known to <b>{}</b> (standard "
-            "deviation); before the calibration it was <b>{}</b>.",
-            sourced(str(gain.gained), f"{at}/gained"),
-            sourced(str(gain.angles), f"{at}/angles"),
-            sourced(_size(gain.after_mrad, "mrad"), f"{at}/after_mrad"),
-            sourced(_size(gain.before_mrad, "mrad"), f"{at}/before_mrad"),
-        )
-    yield _headline(subject)
+    gained = [*_gain_of_angles(subject.result)]
+    is_placed = leading_unit(subject.result.error["calibrated"][subject.part]) == "mm"
+    yield from [_headline(subject), *gained] if is_placed else [*gained, _headline(subject)]
+
+
+def _gain_of_angles(result: Result) -> Iterator[Markup]:
+    """Yield how well an IMU lets the angles of the arm be known."""
+    gain = result.angle_gain
+    if gain is UNSET:
+        return
+    at = f"{RESULT}/angle_gain"
+    yield rich(
+        "{} combinations of the {} angles of joints and links are known to <b>{}</b> (standard "
+        "deviation); before calibration, to <b>{}</b>.",
+        sourced(str(gain.gained), f"{at}/gained"),
+        sourced(str(gain.angles), f"{at}/angles"),
+        sourced(_size(gain.after_mrad, "mrad"), f"{at}/after_mrad"),
+        sourced(_size(gain.before_mrad, "mrad"), f"{at}/before_mrad"),
+    )
 
 
 def _headline(subject: Subject) -> Markup:
@@ -179,7 +189,7 @@ def _stated_by(subject: Subject) -> Markup:
     result = subject.result
     noise = (
         "The declared noise of the instrument is"
-        if result.noise["source"] == "declared"
+        if is_noise_declared(result.noise)
         else "The residuals, which contain the noise and all errors that the model omits, have "
         "a standard deviation of"
     )
@@ -208,7 +218,7 @@ def _predicted(subject: Subject) -> Markup:
         return rich(
             "No poses were held out, so these are the errors of the fit itself, not of new poses"
         )
-    rows = sourced(str(result.rows["test"]), f"{RESULT}/rows/test")
+    rows = _rows_held_out(result)
     validation = result.validation
     if validation is UNSET or validation.way not in _APART:
         return rich("These are errors in {} rows that the calibration has not used", rows)
@@ -216,6 +226,22 @@ def _predicted(subject: Subject) -> Markup:
     worse = ", the way of holding out in which predictions are worse" if others else ""
     words = "Each of {} rows is predicted by a fit without {}{}"
     return rich(words, rows, _APART[validation.way], worse)
+
+
+def _rows_held_out(result: Result) -> Markup:
+    """Return the number of rows that the first errors of the page are of: of stations whose
+    instruments differ, those that read positions.
+    """
+    counts = {f"{RESULT}/rows/test": result.rows["test"]}
+    if result.stations is not UNSET:
+        key = f"mean_{leading_unit(result.error['calibrated']['test'])}"
+        of = {
+            f"{RESULT}/stations/{k}/rows/test": int(station["rows"]["test"])
+            for k, station in enumerate(result.stations)
+            if key in station["error"]["calibrated"].get("test", ())
+        }
+        counts = of if len(of) < len(result.stations) else counts
+    return merged([sourced(str(count), at) for at, count in counts.items()], " + ")
 
 
 def _elsewhere(subject: Subject) -> Iterator[Markup]:
@@ -240,13 +266,13 @@ def _worth(subject: Subject) -> Iterator[Markup]:
     errors = subject.result.error["calibrated"][subject.part]
     items = [_worth_to_measure(found)]
     if "p95_mm" in errors:
-        within = sourced(
-            _size(errors["p95_mm"], "mm"), f"{RESULT}/error/calibrated/{subject.part}/p95_mm"
-        )
+        is_few = subject.readings[0].part(held=subject.part == "test").sum() < _FEW
+        key = "max_mm" if is_few else "p95_mm"
         to_place = rich(
-            "<b>To drill or place</b>: 95 of 100 readings lay within {} of where the model "
+            "<b>To drill or place</b>: {} readings lay within {} of where the model "
             "predicts, the noise of the instrument included.",
-            within,
+            "all" if is_few else "95 of 100",
+            sourced(_size(errors[key], "mm"), f"{RESULT}/error/calibrated/{subject.part}/{key}"),
         )
         items.insert(0, to_place)
     yield bullets(items)
@@ -438,13 +464,15 @@ def accuracy(subject: Subject) -> Section:
             "somewhat larger ones at new poses."
         )
         blocks.append(paragraph(text, "note"))
+    clocks: tuple[PageBlock, ...] = ()
     if result.clocks is not UNSET:
-        blocks += [heading("Clocks", "clocks"), paragraph(_CLOCKS), clock_table(result.clocks)]
+        clocks = (heading("Clocks", "clocks"), paragraph(_CLOCKS), clock_table(result.clocks))
     blocks += [
         error_table(result.error, only=leading),
         *_distributions(subject),
         *_other_readings(subject, [unit for unit in ERROR_UNITS if unit not in leading]),
         *_replicates(result),
+        *clocks,
     ]
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
 

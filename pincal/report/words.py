@@ -112,7 +112,7 @@ def noise_words(noise: Mapping[str, Any]) -> str:
         '0.1 px per coordinate'
     """
     if "sigma_m_s2" in noise and not {"sigma_m", "sigma_px"} & noise.keys():
-        rate = f", {noise['sigma_rad_s']:.2g} rad/s" if "sigma_rad_s" in noise else ""
+        rate = f", {1e3 * noise['sigma_rad_s']:.2g} mrad/s" if "sigma_rad_s" in noise else ""
         return f"{noise['sigma_m_s2']:.2g} m/s^2{rate} per coordinate"
     unit = "px" if "sigma_px" in noise else "m"
     factor, name = readable_unit(unit)
@@ -147,6 +147,24 @@ def noise_to_state(noise: Mapping[str, Any]) -> str:
     return "" if shown or noise["source"] == "declared" else noise_example(noise)
 
 
+def is_noise_declared(noise: Mapping[str, Any]) -> bool:
+    """Return whether the noise that :func:`noise_words` states was declared; that of other readings
+    may not have been.
+
+    Example:
+        >>> mixed = {"sigma_m": 5e-5, "sigma_m_s2": 0.02, "source": "estimated"}
+        >>> is_noise_declared(mixed | {"declared": ["sigma_m"]}), is_noise_declared(mixed)
+        (True, False)
+    """
+    is_all = str(noise["source"]) == "declared"
+    return _first_of(noise) in noise["declared"] if "declared" in noise else is_all
+
+
+def _first_of(noise: Mapping[str, Any]) -> str:
+    """Return the name of the noise that is stated first."""
+    return next((name for name in ("sigma_m", "sigma_px") if name in noise), "sigma_m_s2")
+
+
 def noise_origin(noise: Mapping[str, Any]) -> str:
     """Return where the noise that :func:`noise_words` states comes from, and what the readings
     themselves show where it was declared.
@@ -162,15 +180,14 @@ def noise_origin(noise: Mapping[str, Any]) -> str:
         >>> noise_origin({"sigma_px": 0.1, "source": "estimated"})
         'estimated from the residuals'
     """
-    name = next((name for name in ("sigma_m", "sigma_px") if name in noise), "sigma_m_s2")
+    name = _first_of(noise)
     repeated = noise.get(f"repeated_{name}")
     source = str(noise["source"])
-    is_declared = name in noise["declared"] if "declared" in noise else source == "declared"
     shown = noise.get(f"residual_{name}") if repeated is None else repeated
     factor, _ = readable_unit(name.removeprefix("sigma_"))
     size = "" if shown is None else f"{shown * factor:.4f}"
     what = "residuals" if repeated is None else "repeated poses"
-    if is_declared:
+    if is_noise_declared(noise):
         return f"declared; {what} show {size}" if size else "declared"
     origin = "estimated from the residuals" if source in ("declared", "estimated") else source
     if repeated is None:

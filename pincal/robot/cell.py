@@ -4,6 +4,7 @@ first one's.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -110,11 +111,10 @@ def _place_of(
             "of the two, one station that sees both, or the placement, as in --beside "
             f"{of.name}={of.source}@1.5,0,0,0,0,3.14159"
         )
-    place, turn = (
-        ", ".join(f"{number:z.4f}" for number in part) for part in (of.place[:3], of.place[3:])
-    )
+    place = ", ".join(f"{1e3 * number:z.1f}" for number in of.place[:3])
+    turn = ", ".join(f"{math.degrees(number):z.3f}" for number in of.place[3:])
     note = (
-        f"{of.name} is at {place} m (x y z) and {turn} rad (roll pitch yaw) in the frame of "
+        f"{of.name} is at {place} mm (x y z) and {turn} deg (roll pitch yaw) in the frame of "
         f"{first.root}, found from the readings"
     )
     return of.place, (note,) if of.is_found else ()

@@ -411,7 +411,7 @@ def _print_files(out: Path, screen: Console) -> None:
     hit = out / _HIT_FOLDER
     urdf = out / _URDF
     screen.print("\nOpen", style="bold")
-    for path, words in (
+    pages = (
         (out / "report.html", "accuracy, where errors are, every parameter with its uncertainty"),
         (out / VIEW, "the robot, its errors and the measured poses in 3D"),
         (out / "deviations.png", "Fig. 6 of the paper: the error at held-out poses"),
@@ -420,8 +420,10 @@ def _print_files(out: Path, screen: Console) -> None:
         (folder / "corrected.csv", "the corrected program: the joint positions to command"),
         (hit / "report.html", "what the collision changed, and what it did not"),
         (hit / "model.json", "the updated model: only what changed was re-estimated"),
-    ):
-        screen.print(f"  {path!s:40s} {words}", soft_wrap=True)
+    )
+    width = max(len(str(path)) for path, _ in pages)
+    for path, words in pages:
+        screen.print(f"  {path!s:{width}s}  {words}", soft_wrap=True)
     screen.print("\nThen try your own robot, or a simulated one:", style="bold")
     for line in (
         f"pincal compensate {folder / 'model.json'} {folder / 'program.csv'} --out again.csv",

@@ -36,23 +36,29 @@ _REST = "; and a smooth remainder without a name"
 
 def summary_of_search(discovery: Discovery) -> tuple[str, ...]:
     """Return all effects that were found in words: with their evidence, without, by joint alone,
-    and counted; and that there is a remainder without a name, if the model has one.
+    with the hints counted, and all counted; and that there is a remainder without a name, if the
+    model has one.
     """
     rest = discovery.findings.remainder is not None
     effects = discovery.findings.effects
     if not effects:
         none = no_effect_words(discovery.findings)
         return (f"t{none[1:-1]}{_REST if rest else ''}",)
+    return tuple(f"{of}{_REST}" if rest else of for of in _forms(effects))
+
+
+def _forms(effects: Sequence[FoundEffect]) -> tuple[str, ...]:
+    """Return effects in words, in full and ever shorter."""
     # Elasticity, which every arm has, comes after other effects, and hints come last.
     elastic = [name for name, cls in EFFECTS.known().items() if cls.family is Family.ELASTICITY]
     named = sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))
-    words = (
+    return (
         _listed(named, _evidence(named)),
         _listed(named, [""] * len(named)),
         _by_joint(named),
+        _by_joint([entry for entry in named if not entry.is_hint], _hints(named)),
         f"{counted(len(named), 'effect')}, listed in the report",
     )
-    return tuple(f"{of}{_REST}" if rest else of for of in words)
 
 
 def _listed(named: Sequence[FoundEffect], evidence: Sequence[str]) -> str:
@@ -68,18 +74,27 @@ def _listed(named: Sequence[FoundEffect], evidence: Sequence[str]) -> str:
     )
 
 
-def _by_joint(named: Sequence[FoundEffect]) -> str:
-    """Return effects by their names in the catalogue and their joints alone."""
+def _hints(named: Sequence[FoundEffect]) -> str:
+    """Return how many effects are hints alone, and where they are listed; "" for none."""
+    hints = sum(entry.is_hint for entry in named)
+    return f"{counted(hints, 'hint')} in the report" if hints else ""
+
+
+def _by_joint(named: Sequence[FoundEffect], rest: str = "") -> str:
+    """Return effects by their names in the catalogue and their joints alone, and what else there is
+    behind them.
+    """
     groups = dict[str, Counter[str]]()
     for entry in named:
         doubtful = "perhaps " if entry.is_hint else ""
         groups.setdefault(f"{doubtful}{entry.effect}", Counter())[entry.joint or ""] += 1
-    return "; ".join(
+    words = [
         f"{name} of {', '.join(_times(joint, n) for joint, n in joints.items())}"
         if all(joints)
         else name
         for name, joints in groups.items()
-    )
+    ]
+    return "; ".join([*words, rest] if rest else words)
 
 
 def _times(joint: str, n: int) -> str:

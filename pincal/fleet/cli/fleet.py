@@ -225,7 +225,7 @@ class FleetCheckArguments:
 
 @verb(FleetCheckArguments, examples=_CHECK_EXAMPLES, exits=(Exit.CHANGED,), cell="none")
 def fleet_check(arguments: FleetCheckArguments) -> Exit:
-    """Find which machines of a store have changed, what changed, and since when.
+    """Find which machines have changed, what, and since when.
 
     Option --alpha bounds the fraction of false alarms, however many machines there are and however
     long they are monitored. A change that machines with the same label share is reported as a drift

@@ -369,7 +369,7 @@ def fleet_calibrate(arguments: FitTablesArguments) -> Exit:
     cell="none",
 )
 def fleet_discover(arguments: _TablesArguments) -> Exit:
-    """Identify the effects that the model of each machine of a store lacks."""
+    """Identify the effects that machines' models lack."""
     from pincal.fleet.jobs import DiscoverTables
     from pincal.fleet.store import TABLES, open_store
 
@@ -404,7 +404,7 @@ class DiagnoseTablesArguments:
     cell="none",
 )
 def fleet_diagnose(arguments: DiagnoseTablesArguments) -> Exit:
-    """Diagnose every check of a store with the last model.json of its machine.
+    """Diagnose every check with its machine's last model.
 
     Each check is tested by itself; fleet check evaluates all of them together.
     """

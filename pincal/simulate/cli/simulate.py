@@ -61,7 +61,7 @@ In motion:
   pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 \
 --out tuesday
 Then:
-  pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
+  pincal check tracker.csv               # with the cell.toml that simulate writes beside it
 """
 
 
@@ -107,7 +107,7 @@ def _keys(kind: type[HiddenEffect]) -> list[str]:
     cell="written",
 )
 def simulate(arguments: SimulateArguments) -> Exit:
-    """Simulate the measurement of a machine with chosen errors and hidden effects."""
+    """Simulate measurements of a machine with chosen errors."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
