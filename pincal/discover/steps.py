@@ -28,13 +28,18 @@ from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.identify.arrivals import with_arrivals
 from pincal.identify.calibrate import Tolerance, refit
-from pincal.identify.choices import required_features
+from pincal.identify.choices import deviance, required_features
 from pincal.identify.fit import ModelFit
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.identify.station import Station
 from pincal.model.effect import Effect, ExponentialDrift, Family
 from pincal.model.effects import Compliance
+from pincal.thresholds import Scale
 from pincal.validate.gathered import bump_in, gathering_of
+
+# Reduction of the deviance that no test resolves: a fit that others follow needs no further
+# expansion of what brought no more.
+_HARDLY: Scale = 1.0
 
 log = logging.getLogger(__name__)
 
@@ -367,7 +372,11 @@ def listed(effects: Sequence[Effect]) -> str:
 def linearised_about_itself(
     fit: ModelFit, effect: ExponentialDrift, until: Tolerance = Tolerance.SETTLED
 ) -> tuple[ModelFit, ExponentialDrift]:
-    """Return a fit with an effect linearised about its own parameters, and this effect."""
+    """Return a fit with an effect linearised about its own parameters, and this effect.
+
+    A fit that others follow needs no expansion that hardly explains more. Where rows tell little of
+    a time constant, it may swing about its best value.
+    """
     for _ in range(TESTING.expansions):
         values = fit.values[fit.problem.places_at(effect)]
         about = effect.about(values)
@@ -375,9 +384,14 @@ def linearised_about_itself(
             break
         start = np.zeros(len(values))
         start[0] = values[0]
+        before = fit
         others = [other for other in fit.options.effects if other != effect]
         fit = refit(fit, [*others, about], start={about: start}, until=until)
+        # Without a parameter for its time constant it has not moved yet.
+        has_moved = len(values) > 1
         effect = about
+        if until is Tolerance.CLOSE and has_moved and deviance(before) - deviance(fit) < _HARDLY:
+            break
     return fit, effect
 
 
