@@ -422,6 +422,24 @@ def test_loops_that_no_urdf_closes_leave_a_model(tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.long
+def test_a_target_is_not_said_to_move_by_what_is_not_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The hand stays level, so that no row tells how high its target is: of one that stood still no move is said."""
+    (tmp_path / "robot.urdf").write_bytes(palletizer("constraint"))
+    robot, noise = tmp_path / "robot.urdf", ("--noise", "0.05mm")
+    first, second = tmp_path / "a.csv", tmp_path / "b.csv"
+    hit = ("--pose-seed", 5, "--effect", "joint_offset:joint=joint_2,size=1e-3")
+    assert run("simulate", robot, "--poses", 80, "--seed", 1, *noise, "--out", first, "--quiet") == 0
+    assert run("simulate", robot, "--poses", 30, "--seed", 1, *hit, *noise, "--out", second, "--quiet") == 0
+    assert run("calibrate", robot, first, *noise, "--out", tmp_path / "r", "--quiet") == 0
+    capsys.readouterr()
+    assert run("diagnose", tmp_path / "r" / "model.json", second, "--out", tmp_path / "d", "--quiet") == 6
+    at = json.loads((tmp_path / "d" / "diagnosis.json").read_text())["station"]
+
+    assert 1.0 < at["target_moved_mm"] < at["target_moved_U_mm"] < 50.0
+    assert "the target moved by less than can be told" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.long
 def test_a_search_on_loops_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command on a palletizer finds the elasticity of its drives; it ended in an internal error."""
     (tmp_path / "robot.urdf").write_bytes(palletizer("constraint"))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
+from pincal.calibration.placing import by_how_much
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
@@ -280,15 +281,23 @@ def set_up_words(found: DiagnosisFile) -> str:
     at = found.station
     if at.is_still:
         return "instrument and target are where they were at calibration"
-    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.2f} mm"]
-    parts += [] if at.turned_mrad is None else [f"turned by {_turn(at.turned_mrad)}"]
-    parts += (
-        []
-        if at.target_moved_mm is None
-        else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
+    shifts = (
+        ("the instrument moved", at.moved_mm, at.moved_U_mm, _length, ""),
+        ("turned", at.turned_mrad, at.turned_U_mrad, _turn, ""),
+        ("the target moved", at.target_moved_mm, at.target_moved_U_mm, _length, " on the tool"),
     )
+    parts = [
+        f"{words} {by_how_much(shift, U, show)}{where}"
+        for words, shift, U, show, where in shifts
+        if shift is not None
+    ]
     words = ", ".join(parts) or "these readings do not determine the placement of the instrument"
     return f"{words}; this is not a change of the robot"
+
+
+def _length(moved_mm: float) -> str:
+    """Return a displacement between two set-ups."""
+    return f"{moved_mm:.2f} mm"
 
 
 def _turn(turned_mrad: float) -> str:
