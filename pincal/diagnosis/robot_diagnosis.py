@@ -166,8 +166,6 @@ def diagnose(
     after = error_summary(station, judged.reidentified.values)
     _refuse_strange(model, placed.table, after["median_mm"], DIAGNOSIS.hopeless)
     changes = judged.changes()
-    nearest = _least_moved(calibrated, judged.reidentified, changes)
-    is_still = not verdict.changed and stand_still(calibrated.each, placed)
     notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
     notes += _sampled(len(some.table), whole, len(measurements))
     found = DiagnosisFile(
@@ -177,7 +175,7 @@ def diagnose(
         changes=changes,
         excluded=tuple(excluded(verdict, judged.searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
-        station=_moved_entry(nearest, is_still=is_still),
+        station=_set_up(calibrated, judged, changes),
         rows=len(placed.table),
         warnings=doubts_first(notes),
         curves=judged.curves,
@@ -187,9 +185,13 @@ def diagnose(
     return Diagnosis(found, judged.reidentified)
 
 
-def _moved_entry(shift: FrameShift, *, is_still: bool) -> MovedEntry:
-    """Return the entry of the file."""
+def _set_up(
+    calibrated: FittedRobot, judged: _JudgedRows, changes: Iterable[ChangeEntry]
+) -> MovedEntry:
+    """Return where instrument and target are, by the robot with its changes."""
+    shift = _least_moved(calibrated, judged.reidentified, changes)
     entries: dict[str, Any] = shift.to_dict() | shift.uncertainties()
+    is_still = not judged.verdict.changed and stand_still(calibrated.each, judged.placed)
     return MovedEntry(**entries, is_still=is_still)
 
 
