@@ -108,7 +108,8 @@ def sizes(change: ChangeEntry) -> str:
     moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
     shown = ((name, by, sigma, readable_unit(unit)) for name, by, sigma, unit in moved[:_SHOWN])
     return ", ".join(
-        f"{name} by {show_measured(by, sigma, unit)} {unit.name}" for name, by, sigma, unit in shown
+        f"{name} by {show_measured(by, sigma, unit)} {unit.name} (95 %)"
+        for name, by, sigma, unit in shown
     )
 
 
@@ -137,13 +138,13 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
 
 
 def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
-    """Return the parameters of all changes, before and after, rounded to the standard deviation of
-    the change.
+    """Return the parameters of all changes, before and after, rounded to the interval of the
+    change.
     """
     columns = (
         Column("parameter", kind=Kind.NAME),
         Column("before", kind=Kind.NUMBER, key="before"),
-        Column("after ± sigma", kind=Kind.NUMBER, key="after sigma"),
+        Column("after ± 95 %", kind=Kind.NUMBER, key="after sigma"),
         Column("unit", kind=Kind.LABEL),
     )
     moved = [
@@ -157,7 +158,7 @@ def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
 
 
 def _before_and_after(p: ChangedParameter) -> tuple[str, str]:
-    """Return both values to the digits that the standard deviation of the change has."""
+    """Return both values to the digits that the interval of the change has."""
     before, after = (
         show_measured(value, p.sigma, readable_unit(p.unit)) for value in (p.before, p.after)
     )
