@@ -424,6 +424,9 @@ def show_size(places: int) -> Callable[[float], str]:
     return lambda size: f"{size:.{places}f}" if size >= least / 2.0 else f"<{least:.{places}f}"
 
 
+INTERVAL: Scale = 1.96
+"""Half of a 95 % interval, in standard deviations."""
+
 # Decimal places beyond which a number is shown with an exponent.
 _MOST_PLACES: Count = 6
 # Chance below which its size means nothing more.
@@ -483,7 +486,7 @@ def show_value(quantity: Quantity | None) -> str:
 
 
 def show_rounded(quantity: Quantity) -> str:
-    """Return a quantity in its readable unit, rounded to two digits of its uncertainty, without the
+    """Return a quantity in its readable unit, rounded to two digits of its interval, without the
     unit.
 
     Example:
@@ -516,19 +519,24 @@ def _scaled(quantity: Quantity | None, *, scaled: str, plain: str) -> str:
 
 
 def show_measured(value: float, sigma: float | None, unit: Unit) -> str:
-    """Return a value with its standard deviation, both rounded to two digits of the latter (JCGM
-    100, 7.2.6), without the unit.
+    """Return a value with half of its 95 % interval, as everywhere behind ±, both rounded to two
+    digits of the latter (JCGM 100, 7.2.6), without the unit.
+
+    Args:
+        value: of a quantity in its SI unit.
+        sigma: its standard deviation; None or 0 if there is none.
+        unit: the unit in which both are shown.
 
     Example:
         >>> show_measured(1.00030512, 3.61e-5, Unit(1e3, "mm"))
-        '1000.305 ± 0.036'
+        '1000.305 ± 0.071'
         >>> show_measured(2.0, None, Unit(1.0, "kg"))
         '2'
     """
     value = value * unit.factor
     if not sigma or not math.isfinite(sigma):
         return f"{value:.6g}"
-    digits = f"{sigma * unit.factor:.1e}"
+    digits = f"{INTERVAL * sigma * unit.factor:.1e}"
     places = max(0, 1 - int(digits.partition("e")[2]))
     if places > _MOST_PLACES:
         return f"{value:.3g} ± {digits}"

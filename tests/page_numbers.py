@@ -14,6 +14,8 @@ from typing import Any
 # Elements without an end.
 VOID = ("meta", "br", "link", "img", "hr", "wbr")
 NUMBER = re.compile(r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
+# What stands behind ± is half of a 95 % interval, in standard deviations.
+INTERVAL = 1.96
 # What a unit on a page is in SI units: these are few, and no business of the library's own tables.
 IN_SI = {
     "mm": 1e-3, "mrad": 1e-3, "mrad/s": 1e-3, "µrad": 1e-6, "µm": 1e-6, "px": 1.0, "ppm": 1e-6, "%": 1e-2, "µrad/(N m)": 1e-6
@@ -127,6 +129,8 @@ def disagreements(page: PageNumbers, files: Mapping[str, Any]) -> Iterator[str]:
             mantissa, _, power = text.partition("e")
             last = 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
             expected = float(value) * of.times / factor
+            if pointer.endswith("/sigma") and f"± {text}" in of.text:
+                expected *= INTERVAL
             if of.over:
                 expected /= entry(of.over, files)[0]
             if f"<{text}" in of.text:

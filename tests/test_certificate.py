@@ -477,7 +477,7 @@ def test_source_of_lengths_sockets_are_of_no_instrument(known: FittedRobot, of_m
     given = lengths(points=unknown, distances=(KnownDistance("a", "b", 0.05), KnownDistance("x", "y", 0.3)))
     words = replace(of_model, lengths=given).traceability
 
-    assert given == "the distances between sockets as given: a to b 50.000 ± 0.010 mm"
+    assert given == "the distances between sockets as given: a to b 50.000 ± 0.020 mm (95 %)"
     assert (
         words.startswith("No instrument measured the robot's lengths: they are those of the distances")
         and "7512" not in words

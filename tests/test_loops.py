@@ -29,6 +29,7 @@ from test_model import (
 
 import pincal
 from pincal import Options, measurements_from_arrays
+from pincal import simulate as sim
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
@@ -38,6 +39,9 @@ from pincal.model.model import Model
 from pincal.model.sparse_basis import dense_rows
 from pincal.report.judgement import narrow_joints
 from pincal.robot.robot import Robot
+from pincal.simulate.arm import frames
+from pincal.simulate.planning import plan_poses, point_at, reach
+from pincal.simulate.rods import following
 from pincal.validate.cures import descriptions
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -378,6 +382,32 @@ def test_what_is_said_of_joints_is_said_of_those_that_move(tmp_path: Path, capsy
     assert {name for name, _ in narrow} <= drives
 
 
+@pytest.mark.parametrize("name", [pytest.param("palletizer", marks=pytest.mark.long), "rod arm, no parallelogram"])
+def test_arms_with_loops_are_held_in_sockets(name: str) -> None:
+    """The true arm's tool point is at the socket; positions on the way at which loops open are given up, not an error."""
+    urdf, tip = ROBOTS[name]
+    rng, tool = np.random.default_rng(3), (0.1, 0.0, 0.1)
+    robot = Robot.from_urdf(urdf("constraint"), tip=tip)
+    moving = {"joints": robot.joint_names, "passive": robot.passive}
+    machine = sim.TrueMachine.from_urdf(urdf("constraint").decode(), tip=tip, **moving)
+    machine = machine.draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+    arm = machine.nominal
+    seed = plan_poses(arm, 24, rng, min_height=None)
+    places = point_at(frames(arm, seed)[:, -1], tool)
+    for wanted in (places, 1.5 * places):
+        q, is_reached = reach(arm, seed[::-1], goal=wanted, tool=tool)
+        missed = np.linalg.norm(point_at(frames(arm, q[is_reached])[:, -1], tool) - wanted[is_reached], axis=1)
+        assert 0 < is_reached.sum() < 24 and missed.max() < 1e-9
+
+    middle = places[np.argsort(np.linalg.norm(places - places.mean(axis=0), axis=1))[0]]
+    setup = sim.Contact(fixed={"A": tuple(middle)}, tool=tool)
+    table = setup.measure(machine, setup.plan(arm, 6, rng=rng, min_height=None), rng=rng)
+    driven = [name for name in arm.names if name in table]
+    q = np.zeros((6, len(arm.names)))
+    q[:, [arm.names.index(name) for name in driven]] = np.column_stack([table[name] for name in driven])
+    np.testing.assert_allclose(point_at(machine.tip(following(arm, q)), tool), np.tile(middle, (6, 1)), rtol=0.0, atol=1e-11)
+
+
 @pytest.mark.long
 def test_loops_that_no_urdf_closes_leave_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A palletizer fitted without its elasticity has tilts that no URDF holds: all else is written, and this is said."""
@@ -389,6 +419,24 @@ def test_loops_that_no_urdf_closes_leave_a_model(tmp_path: Path, capsys: pytest.
     page = (tmp_path / "r" / "report.html").read_text()
     assert "calibrated.urdf is not written" in page and "(--model elastic)" in page
     assert (tmp_path / "r" / "model.json").exists()
+
+
+@pytest.mark.long
+def test_a_target_is_not_said_to_move_by_what_is_not_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The hand stays level, so that no row tells how high its target is: of one that stood still no move is said."""
+    (tmp_path / "robot.urdf").write_bytes(palletizer("constraint"))
+    robot, noise = tmp_path / "robot.urdf", ("--noise", "0.05mm")
+    first, second = tmp_path / "a.csv", tmp_path / "b.csv"
+    hit = ("--pose-seed", 5, "--effect", "joint_offset:joint=joint_2,size=1e-3")
+    assert run("simulate", robot, "--poses", 80, "--seed", 1, *noise, "--out", first, "--quiet") == 0
+    assert run("simulate", robot, "--poses", 30, "--seed", 1, *hit, *noise, "--out", second, "--quiet") == 0
+    assert run("calibrate", robot, first, *noise, "--out", tmp_path / "r", "--quiet") == 0
+    capsys.readouterr()
+    assert run("diagnose", tmp_path / "r" / "model.json", second, "--out", tmp_path / "d", "--quiet") == 6
+    at = json.loads((tmp_path / "d" / "diagnosis.json").read_text())["station"]
+
+    assert 1.0 < at["target_moved_mm"] < at["target_moved_U_mm"] < 50.0
+    assert "the target moved by less than can be told" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.long

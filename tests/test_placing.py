@@ -39,6 +39,21 @@ def test_a_known_move_is_found(machine: sim.TrueMachine, kuka: Robot, fit: Fitte
     assert error_summary(found.station, found.values)["mean_mm"] < 0.12
 
 
+def test_moves_are_known_as_they_say(machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot) -> None:
+    """Instrument and target are found where they were moved to within what is stated of this, over twelve draws of rows."""
+    tool = TOOL + np.array([0.0, 0.02, 0.0])
+    true = np.array([1.3, Rotation.from_matrix(MOVE[:3, :3]).magnitude(), 0.02])
+    off = []
+    for seed in range(12):
+        rows = measured(machine, kuka, poses=12, T_instrument_base=MOVE @ FIRST, tool=tool, seed=60 + seed)
+        found = place_station(fit, rows).moved
+        expanded = np.array([found.instrument_U, found.turned_U, found.target_U])
+        off.append((np.array([found.instrument, found.turned, found.target]) - true) / (0.5 * expanded))
+
+    assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.7).all()
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4
+
+
 def test_it_predicts_in_the_new_frame_within_its_uncertainty(
     machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot
 ) -> None:

@@ -32,7 +32,8 @@ def test_words_hold_the_figures() -> None:
     assert str(IDENTIFIED) == ""
     weak = Reason(Cause.WEAK, size=3e-3, narrowed=2e-3, unit="rad", moment=12.34)
     assert (
-        str(weak) == "the data narrow the prior of ±3 mrad only to ±2 mrad (static moment about this axis: at most 12 N m)"
+        str(weak) == "the data narrow the prior only from sigma 3 mrad to 2 mrad "
+        "(static moment about this axis: at most 12 N m)"
     )
     assert str(Reason(Cause.AT_BOUND, size=0.01, unit="m")) == "stopped at its bound of 10 mm"
     for factor, words in ((1.0, "a.d + b.d"), (-1.0005, "a.d - b.d"), (-0.5, "a.d - 0.5 x b.d")):

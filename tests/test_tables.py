@@ -77,7 +77,7 @@ def test_every_rendering_shows_every_cell(table: Table) -> None:
 def test_remarks_are_footnotes_once_each() -> None:
     """Rows that share a reason share the number of its footnote."""
     text = str(parameter_table(ROWS))
-    assert text.count("the data add nothing to the prior of ±1 µrad/(N m)") == 1 and text.count("(1)") == 3
+    assert text.count("the data add nothing to the prior (sigma 1 µrad/(N m))") == 1 and text.count("(1)") == 3
     assert "fixed (2)" in text and "identified (" not in text
 
 

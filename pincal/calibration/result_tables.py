@@ -17,8 +17,9 @@ from pincal.identify.station import Station
 from pincal.parameters import Estimate, Parameter
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.robot.se3 import placed, rotation_vectors
-from pincal.thresholds import Count, Scale
+from pincal.thresholds import Count
 from pincal.units import (
+    INTERVAL,
     Quantity,
     Unit,
     fixed,
@@ -46,9 +47,6 @@ PARTS = {
 
 # Decimal places of nominal values in mm and mrad: 1 nm and 1 nrad.
 _NOMINAL_PLACES: Count = 6
-INTERVAL: Scale = 1.96
-"""Half-width of a 95 % interval, in standard deviations."""
-
 # Rows of parameters beyond which only those that moved are listed.
 _MOST_MOVED: Count = 40
 # Moves named in one line.
@@ -423,14 +421,14 @@ def _moved_row(at: str, entry: Mapping[str, Any]) -> tuple[Cell, ...]:
     change = entry["change"]
     half = INTERVAL * entry["sigma"]
     bounds = (change, change - half, change + half)
-    numbers = (Quantity(number, entry["unit"], half) for number in bounds)
+    numbers = (Quantity(number, entry["unit"], entry["sigma"]) for number in bounds)
     return (entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else "")
 
 
 def _with_interval(entry: Mapping[str, Any]) -> str:
     """Return a change with its interval, in words."""
     unit = readable_unit(entry["unit"])
-    return f"{show_measured(entry['change'], INTERVAL * entry['sigma'], unit)} {unit.name}"
+    return f"{show_measured(entry['change'], entry['sigma'], unit)} {unit.name}"
 
 
 def station_changes(stations: Sequence[StationRecord]) -> str:

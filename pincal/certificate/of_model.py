@@ -383,7 +383,8 @@ def source_of_lengths(fitted: FittedRobot) -> str:
     if not given:
         return "its description: no distance between sockets was given"
     listed = ", ".join(
-        f"{one.first} to {one.second} {show_measured(one.length, one.sigma, readable_unit('m'))} mm"
+        f"{one.first} to {one.second} "
+        f"{show_measured(one.length, one.sigma, readable_unit('m'))} mm (95 %)"
         for one in given
     )
     return f"the distances between sockets as given: {listed}"

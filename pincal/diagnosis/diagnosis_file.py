@@ -71,6 +71,7 @@ class MovedEntry(msgspec.Struct, frozen=True, omit_defaults=True):
         moved_mm: distance between the instrument's positions in the robot's base frame [mm].
         turned_mrad: angle between its orientations [mrad].
         target_moved_mm: distance between the target's positions on the tool [mm].
+        moved_U_mm, turned_U_mrad, target_moved_U_mm: expanded uncertainties (k = 2) of these.
         is_still: whether the rows are as well explained with both where they were, so that the
             displacements are no more than noise and the calibration's uncertainty allow.
     """
@@ -79,6 +80,9 @@ class MovedEntry(msgspec.Struct, frozen=True, omit_defaults=True):
     turned_mrad: float | None
     target_moved_mm: float | None
     is_still: bool = False
+    moved_U_mm: float = 0.0
+    turned_U_mrad: float = 0.0
+    target_moved_U_mm: float = 0.0
 
 
 class CurveEntry(msgspec.Struct, frozen=True, kw_only=True):

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
+from pincal.calibration.placing import by_how_much
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
@@ -107,7 +108,8 @@ def sizes(change: ChangeEntry) -> str:
     moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
     shown = ((name, by, sigma, readable_unit(unit)) for name, by, sigma, unit in moved[:_SHOWN])
     return ", ".join(
-        f"{name} by {show_measured(by, sigma, unit)} {unit.name}" for name, by, sigma, unit in shown
+        f"{name} by {show_measured(by, sigma, unit)} {unit.name} (95 %)"
+        for name, by, sigma, unit in shown
     )
 
 
@@ -136,13 +138,13 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
 
 
 def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
-    """Return the parameters of all changes, before and after, rounded to the standard deviation of
-    the change.
+    """Return the parameters of all changes, before and after, rounded to the interval of the
+    change.
     """
     columns = (
         Column("parameter", kind=Kind.NAME),
         Column("before", kind=Kind.NUMBER, key="before"),
-        Column("after ± sigma", kind=Kind.NUMBER, key="after sigma"),
+        Column("after ± 95 %", kind=Kind.NUMBER, key="after sigma"),
         Column("unit", kind=Kind.LABEL),
     )
     moved = [
@@ -156,7 +158,7 @@ def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
 
 
 def _before_and_after(p: ChangedParameter) -> tuple[str, str]:
-    """Return both values to the digits that the standard deviation of the change has."""
+    """Return both values to the digits that the interval of the change has."""
     before, after = (
         show_measured(value, p.sigma, readable_unit(p.unit)) for value in (p.before, p.after)
     )
@@ -280,15 +282,23 @@ def set_up_words(found: DiagnosisFile) -> str:
     at = found.station
     if at.is_still:
         return "instrument and target are where they were at calibration"
-    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.2f} mm"]
-    parts += [] if at.turned_mrad is None else [f"turned by {_turn(at.turned_mrad)}"]
-    parts += (
-        []
-        if at.target_moved_mm is None
-        else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
+    shifts = (
+        ("the instrument moved", at.moved_mm, at.moved_U_mm, _length, ""),
+        ("turned", at.turned_mrad, at.turned_U_mrad, _turn, ""),
+        ("the target moved", at.target_moved_mm, at.target_moved_U_mm, _length, " on the tool"),
     )
+    parts = [
+        f"{words} {by_how_much(shift, U, show)}{where}"
+        for words, shift, U, show, where in shifts
+        if shift is not None
+    ]
     words = ", ".join(parts) or "these readings do not determine the placement of the instrument"
     return f"{words}; this is not a change of the robot"
+
+
+def _length(moved_mm: float) -> str:
+    """Return a displacement between two set-ups."""
+    return f"{moved_mm:.2f} mm"
 
 
 def _turn(turned_mrad: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
@@ -165,18 +165,17 @@ def diagnose(
     station = judged.reidentified.readings(placed.table)
     after = error_summary(station, judged.reidentified.values)
     _refuse_strange(model, placed.table, after["median_mm"], DIAGNOSIS.hopeless)
-    nearest = _least_moved(calibrated, judged.reidentified)
-    is_still = not verdict.changed and stand_still(calibrated.each, placed)
+    changes = judged.changes()
     notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
     notes += _sampled(len(some.table), whole, len(measurements))
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
         alpha=alpha,
-        changes=judged.changes(),
+        changes=changes,
         excluded=tuple(excluded(verdict, judged.searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
-        station=MovedEntry(**nearest.to_dict(), is_still=is_still),
+        station=_set_up(calibrated, judged, changes),
         rows=len(placed.table),
         warnings=doubts_first(notes),
         curves=judged.curves,
@@ -186,9 +185,22 @@ def diagnose(
     return Diagnosis(found, judged.reidentified)
 
 
-def _least_moved(calibrated: FittedRobot, now: FittedRobot) -> FrameShift:
+def _set_up(
+    calibrated: FittedRobot, judged: _JudgedRows, changes: Iterable[ChangeEntry]
+) -> MovedEntry:
+    """Return where instrument and target are, by the robot with its changes."""
+    shift = _least_moved(calibrated, judged.reidentified, changes)
+    entries: dict[str, Any] = shift.to_dict() | shift.uncertainties()
+    is_still = not judged.verdict.changed and stand_still(calibrated.each, judged.placed)
+    return MovedEntry(**entries, is_still=is_still)
+
+
+def _least_moved(
+    calibrated: FittedRobot, now: FittedRobot, changes: Iterable[ChangeEntry]
+) -> FrameShift:
     """Return how far instrument and target are from where they were at the nearest station."""
-    shifts = [moved(before, now) for before in calibrated.each]
+    changed = {name for change in changes for name in change.parameters}
+    shifts = [moved(before, now, changed) for before in calibrated.each]
     return min(shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument)
 
 

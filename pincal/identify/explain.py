@@ -54,7 +54,7 @@ class Cause(Enum):
     NOT_NEEDED = "fixed at zero: most lenses need no higher terms"
     NOT_IMPROVED = "as in the robot description, since these readings do not improve it"
     AT_BOUND = "stopped at its bound of {size}"
-    ABSORBS = "±{size} if the parameters it absorbs are held at their estimates"
+    ABSORBS = "sigma {size} if the parameters it absorbs are held at their estimates"
     NO_MOMENT = (
         "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no "
         "mass beyond it)"
@@ -72,8 +72,8 @@ class Cause(Enum):
         "only its product with the compliances is identifiable; the shape of the arm sets the "
         "factor"
     )
-    WEAK = "the data narrow the prior of ±{size} only to ±{narrowed}"
-    UNINFORMED = "the data add nothing to the prior of ±{size}"
+    WEAK = "the data narrow the prior only from sigma {size} to {narrowed}"
+    UNINFORMED = "the data add nothing to the prior (sigma {size})"
 
 
 @dataclass(frozen=True)

@@ -728,7 +728,7 @@ def parameters(subject: Subject) -> Section:
         "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint axis, a "
         "and alpha along and about the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are "
         "position and rotation of base and tool. k is a <b>compliance</b>, the rotation of a joint "
-        "or bearing per unit of moment. Behind ± is the standard deviation, to which values are "
+        "or bearing per unit of moment. Behind ± is half of the 95 % interval, to which values are "
         "rounded. Status: "
         "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior knowledge; "
         "<b>unidentifiable</b>: these poses cannot determine it by itself, whatever the noise; "

@@ -444,8 +444,12 @@ def can_hold(
         within the limits, above the floor, and not so stretched that the true arm could fall short.
     """
     q, reached = reach(arm, seed, goal=goals, tool=tool)
-    mobility = np.linalg.svd(position_jacobian(arm, frames(arm, q), goals), compute_uv=False)[:, -1]
-    return q, reached & is_clear(arm, q, min_height) & (mobility > _LEAST_MOBILITY * arm.reach)
+    is_held = reached & is_clear(arm, q, min_height)
+    held = q[is_held]
+    jacobian = position_jacobian(arm, frames(arm, held), goals[is_held])
+    mobility = np.linalg.svd(jacobian, compute_uv=False)[:, -1]
+    is_held[is_held] = mobility > _LEAST_MOBILITY * arm.reach
+    return q, is_held
 
 
 def upward_directions(count: int, rng: np.random.Generator) -> np.ndarray:

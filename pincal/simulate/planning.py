@@ -120,22 +120,21 @@ def reach(
 
     Returns:
         Joint positions, shape (N, n), and whether each reaches its goal well within the joint
-        limits, shape (N,).
+        limits, shape (N,). Positions are NaN where loops opened on the way.
     """
     point = np.asarray(tool, float)
     q = np.array(seed, float)
     error = np.full(len(seed), np.inf)
     for _ in range(_REACHING):
-        left = np.flatnonzero(error >= _REACHED)
+        left = np.flatnonzero((error >= _REACHED) & np.isfinite(q).all(axis=1))
         if len(left) == 0:
             break
         joint_frames = frames(arm, q[left])
         missing, jacobian = _missing(arm, joint_frames, goal=goal[left], tool=point)
         error[left] = np.linalg.norm(missing, axis=1)
         moves = driving(arm, joint_frames)
-        q[left] += newton_step(moves, jacobian, missing) * (error[left] >= _REACHED)[:, None]
-        if arm.pins:
-            q[left] = following(arm, q[left])
+        step = newton_step(moves, jacobian, missing) * (error[left] >= _REACHED)[:, None]
+        q[left] = following(arm, q[left] + step, near=q[left]) if arm.pins else q[left] + step
     # Whole turns matter to the joint limits only.
     turns = np.where(
         arm.prismatic,
@@ -143,6 +142,11 @@ def reach(
         2.0 * np.pi * np.round((q - 0.5 * (arm.lower + arm.upper)) / (2.0 * np.pi)),
     )
     q = following(arm, np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns))
+    if arm.pins:
+        # Closed from position 0, in whose assembly mode the machine is, the arm may be elsewhere.
+        shut = np.isfinite(q).all(axis=1)
+        missing, _ = _missing(arm, frames(arm, q[shut]), goal=goal[shut], tool=point)
+        error[shut] = np.linalg.norm(missing, axis=1)
     middle = 0.5 * (arm.lower + arm.upper)
     half = 0.5 * _SPAN * (arm.upper - arm.lower)
     return q, (error < _REACHED) & np.all(np.abs(q - middle) <= half, axis=1)

@@ -14,21 +14,24 @@ from pincal.simulate.arm import Arm, frames
 _TILT = 0.1
 # Fraction of the largest motion below which joints can't close a gap.
 _USELESS = 1e-4
-# Steps to close a loop, the change at which it is closed [rad or m], and the largest remaining gap
-# [m].
+# Steps to close a loop, the change at which it is closed [rad or m], that after all steps above
+# which it stays open, and the largest remaining gap [m].
 _STEPS = 20
 _CLOSED = 1e-13
+_SETTLED = 1e-6
 _GAP = 0.02
 # Largest continuation step of the drives [rad or m].
 _LED = 0.2
 
 
-def following(arm: Arm, q: np.ndarray) -> np.ndarray:
+def following(arm: Arm, q: np.ndarray, *, near: np.ndarray | None = None) -> np.ndarray:
     """Return joint positions, shape (N, n), with mimic and passive joints set; NaN where loops stay
     open.
+
+    Loops are closed from where they are closed at ``near``, shape (N, n); None: at position 0.
     """
     out = arm.mimicking(q)
-    return closed(arm, out) if arm.pins else out
+    return closed(arm, out, near) if arm.pins else out
 
 
 def driving(arm: Arm, joint_frames: np.ndarray) -> np.ndarray:
@@ -45,25 +48,53 @@ def driving(arm: Arm, joint_frames: np.ndarray) -> np.ndarray:
     return moves[..., own]
 
 
-def closed(arm: Arm, q: np.ndarray) -> np.ndarray:
+def closed(arm: Arm, q: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
     """Return joint positions, shape (N, n), with the passive joints where the loops of an
     undeformed arm close.
 
-    They are continued from position 0 of all drives, so that the loops keep their assembly mode.
+    They are continued from positions ``near`` where loops are closed, by default 0 of all drives,
+    so that the loops keep their assembly mode. They are NaN where loops stay open, and where a
+    drive has no position.
     """
-    found = np.zeros_like(q)
+    begin = np.zeros_like(q) if near is None else near
     drives = [i for i in range(len(arm.names)) if i not in arm.passive]
-    steps = max(int(np.ceil(np.abs(q[:, drives]).max(initial=0.0) / _LED)), 1)
-    for part in np.arange(0, steps + 1) / steps:
-        found[:, drives] = part * q[:, drives]
-        for _ in range(_STEPS):
-            places = frames(arm, found)[:, :-1]
-            step, gap = closing_step(arm, places[:, 1:], places)
-            found[:, arm.passive] += step
-            if np.abs(step).max(initial=0.0) < _CLOSED:
-                break
-    found[(gap > _GAP) | (np.abs(step).max(axis=1, initial=0.0) > 1e-6)] = np.nan
+    is_placed = np.isfinite(q[:, drives]).all(axis=1)
+    found = np.full_like(q, np.nan)
+    found[is_placed] = _continued(arm, begin[is_placed], q[is_placed], drives)
     return found
+
+
+def _continued(arm: Arm, begin: np.ndarray, q: np.ndarray, drives: list[int]) -> np.ndarray:
+    """Return :func:`closed` of positions q from positions ``begin``, of which all drives have
+    one.
+    """
+    found = begin.copy()
+    way = q[:, drives] - begin[:, drives]
+    steps = max(int(np.ceil(np.abs(way).max(initial=0.0) / _LED)), 1)
+    for part in np.arange(0, steps + 1) / steps:
+        found[:, drives] = begin[:, drives] + part * way
+        _close(arm, found)
+    found[np.isnan(found).any(axis=1)] = np.nan
+    return found
+
+
+def _close(arm: Arm, q: np.ndarray) -> None:
+    """Move the passive joints of positions q, shape (N, n), to where the loops close, or to NaN
+    where they stay open; leave out rows that are NaN.
+    """
+    left = np.flatnonzero(np.isfinite(q).all(axis=1))
+    is_open = np.zeros(len(q), bool)
+    passive = np.array(arm.passive)
+    for _ in range(_STEPS):
+        if len(left) == 0:
+            break
+        places = frames(arm, q[left])[:, :-1]
+        step, gap = closing_step(arm, places[:, 1:], places)
+        q[np.ix_(left, passive)] += step
+        moved = np.abs(step).max(axis=1, initial=0.0)
+        is_open[left] = (gap > _GAP) | (moved > _SETTLED)
+        left = left[moved >= _CLOSED]
+    q[np.ix_(is_open, passive)] = np.nan
 
 
 def closing_step(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -60,7 +60,7 @@ class Contradiction:
         return {
             "points": f"{self.given.first} and {self.given.second}",
             "given": f"{self.given.length * unit.factor:.7g} {unit.name}",
-            "found": f"{show_measured(self.found, self.sigma, unit)} {unit.name}",
+            "found": f"{show_measured(self.found, self.sigma, unit)} {unit.name} (95 %)",
         }
 
 

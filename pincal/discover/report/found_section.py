@@ -299,9 +299,9 @@ def _gain_pointers(at: str, entry: FoundEffect) -> list[str]:
 
 
 def _measured(p: FoundParameter, at: str) -> Markup:
-    """Return a value with its standard deviation to two digits, in a readable unit."""
+    """Return a value with half of its 95 % interval to two digits, in a readable unit."""
     unit = unit_of_size(max(abs(p.value), p.sigma or 0.0), p.unit)
     if not p.sigma:
         return sourced(f"{format_digits(p.value * unit.factor)} {unit.name}", f"{at}/value")
     words = show_measured(p.value, p.sigma, unit)
-    return sourced(f"{words} {unit.name}", f"{at}/value", f"{at}/sigma")
+    return sourced(f"{words} {unit.name} (95 %)", f"{at}/value", f"{at}/sigma")

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pincal.calibration.result_tables import INTERVAL, ParameterRow
+from pincal.calibration.result_tables import ParameterRow
 from pincal.parameters import FRAME_SYMBOLS, split_name
 from pincal.report.plots import style
 from pincal.report.plots.style import (
@@ -25,7 +25,7 @@ from pincal.report.plots.style import (
     panel,
 )
 from pincal.thresholds import Count, Scale
-from pincal.units import readable_unit
+from pincal.units import INTERVAL, readable_unit
 from pincal.validate.outcome import MovedParameter
 
 # Most parameters that are drawn, the largest corrections first.
@@ -124,7 +124,7 @@ def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
     for i, p in enumerate(drawn):
         change = (p.value - p.nominal) * factor
-        half = 1.96 * (p.sigma or 0.0) * factor
+        half = INTERVAL * (p.sigma or 0.0) * factor
         colour, face = (AFTER, AFTER) if abs(change) > half else (MUTED, "none")
         axes.errorbar(
             change, i, xerr=half, fmt="o", color=colour, mfc=face, markersize=4.5, elinewidth=1.4
