@@ -256,6 +256,8 @@ def test_hints_are_counted_before_names_are(calibrated: Calibration) -> None:
     lines = shown(run_, found=_forms([*hints, *sure]))
 
     assert said(lines, "found").endswith("; 9 hints in the report")
+    # With still fewer lines their kinds are said, before all are only counted.
+    assert _forms([*hints, *sure])[-2:] == ("gear_eccentricity (4 times); 9 hints in the report", "13 effects, listed in the report")
     assert all(at in said(lines, "found") for at in joints[:4])
 
 
