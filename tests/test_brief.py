@@ -253,9 +253,12 @@ def test_hints_are_counted_before_names_are(calibrated: Calibration) -> None:
     sure = [FoundEffect(effect="gear_eccentricity", joint=at, stability=Stability(9, 10), **PLAIN) for at in joints[:4]]
     hints = [FoundEffect(effect="gear_ripple", joint=at, stability=Stability(1, 10), **PLAIN) for at in joints]
     run_ = replace(calibrated, result=replace(calibrated.result, warnings=(Note(Severity.DOUBT, "long; " * 60, ()),)))
-    lines = shown(run_, found=_forms([*hints, *sure]))
+    forms = _forms([*hints, *sure])
+    lines = shown(run_, found=forms)
 
     assert said(lines, "found").endswith("; 9 hints in the report")
+    # With still fewer lines their kinds are said, before all are only counted.
+    assert forms[-2:] == ("gear_eccentricity (4 times); 9 hints in the report", "13 effects, listed in the report")
     assert all(at in said(lines, "found") for at in joints[:4])
 
 

@@ -40,6 +40,8 @@ _ORDER = (
     "worth",
     "places",
     "hints",
+    "noise",
+    "kinds",
     "found",
 )
 
@@ -189,7 +191,9 @@ def _beside(calibration: Calibration) -> Iterator[_Part]:
         head = "task    " if result.elsewhere.over else "anywhere"
         yield _Part(head, words, [("elsewhere", short)])
     kinds = " and ".join(dict.fromkeys(rows.train.kind for rows in calibration.stations))
-    yield _Part("noise   ", noise_line(result.noise, kinds))
+    noise = noise_line(result.noise, kinds)
+    size, shown, _ = noise.partition("; ")
+    yield _Part("noise   ", noise, [("noise", f"{size})")] if shown else ())
     clocks = [] if result.clocks is UNSET else [*map(result_tables.clock_words, result.clocks)]
     if clocks:
         others = f"; {len(clocks) - 1} more" if clocks[1:] else ""
@@ -201,10 +205,10 @@ def _beside(calibration: Calibration) -> Iterator[_Part]:
 
 def _found(forms: Sequence[str]) -> Iterator[_Part]:
     """Yield the effects that a search found, given in full, without the evidence, by joint alone,
-    with hints counted, and counted.
+    with hints counted, by kind, and counted.
     """
     if forms:
-        names = ("evidence", "places", "hints", "found")
+        names = ("evidence", "places", "hints", "kinds", "found")
         yield _Part("found   ", forms[0], list(zip(names, forms[1:], strict=False)))
 
 

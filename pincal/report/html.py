@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
+from pincal.calibration.calibration import Calibration
 from pincal.errors import counted
 from pincal.report import sections
 from pincal.report.blocks import Section
@@ -39,13 +40,7 @@ def report_page(
     """
     log.info("drawing the report")
     calibration = subject.calibration
-    result = subject.result
-    poses = calibration.n_poses()
-    # By cross-validation the rows that are predicted are those that were fitted.
-    rows = result.rows["train"] + (result.rows["test"] if calibration.validated is None else 0)
-    lead = f"{counted(calibration.robot.n_joints, 'joint')}, {counted(poses, 'measured pose')}" + (
-        f" ({rows} rows)" if poses < rows else ""
-    )
+    lead = f"{counted(calibration.robot.n_joints, 'joint')}, {_measured(calibration)}"
     lead += ", with a search for missing effects" if subject.search else ""
     machine = calibration.fit.identity.machine
     lead += f"; {machine}" if machine else ""
@@ -53,6 +48,19 @@ def report_page(
     title = f"Calibration of {calibration.robot.name}"
     version = subject.provenance.get("pincal", "")
     return render(title, lead, made, version=version, view=subject.view)
+
+
+def _measured(calibration: Calibration) -> str:
+    """Return how many poses and rows were measured; an arm in motion holds no poses."""
+    of = calibration.result.rows
+    # By cross-validation the rows that are predicted are those that were fitted.
+    rows = of["train"] + (of["test"] if calibration.validated is None else 0)
+    in_motion = [s.conditions.are_in_motion for s in calibration.fit.problem.stations]
+    if any(in_motion):
+        share = " of" if all(in_motion) else ", partly of"
+        return f"{counted(rows, 'row')}{share} an arm in motion"
+    poses = calibration.n_poses()
+    return counted(poses, "measured pose") + (f" ({rows} rows)" if poses < rows else "")
 
 
 def render(

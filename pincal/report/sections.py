@@ -94,6 +94,8 @@ _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 _LISTED: Count = 12
 # Number of parameters of an instrument that stand among those of the robot.
 _FEW_OWN: Count = 6
+# Rows of a table of repeated poses before it is folded: those of positions, fitted and held out.
+_SHORT: Count = 4
 # Rows of which fewer tell no 95 %: one of twenty may lie beyond it.
 _FEW: Count = 20
 # Joints whose errors are drawn, and identified parameters that are listed, before the rest is
@@ -523,7 +525,10 @@ def _replicates(result: Result) -> list[PageBlock]:
             REPEATED,
             cycle_words(iso),
         )
-        blocks += [paragraph(text), iso9283_table(iso)]
+        table = iso9283_table(iso)
+        shown = (paragraph(text), table)
+        title = "Pose accuracy and repeatability (ISO 9283)"
+        blocks += [folded(title, *shown)] if len(table) > _SHORT else shown
     if lack:
         sentence = (
             "<b>Lack of fit.</b> Repeated measurements of a pose scatter by {}, whatever the "

@@ -36,8 +36,8 @@ _REST = "; and a smooth remainder without a name"
 
 def summary_of_search(discovery: Discovery) -> tuple[str, ...]:
     """Return all effects that were found in words: with their evidence, without, by joint alone,
-    with the hints counted, and all counted; and that there is a remainder without a name, if the
-    model has one.
+    with the hints counted, by kind, and all counted; and that there is a remainder without a name,
+    if the model has one.
     """
     rest = discovery.findings.remainder is not None
     effects = discovery.findings.effects
@@ -57,6 +57,7 @@ def _forms(effects: Sequence[FoundEffect]) -> tuple[str, ...]:
         _listed(named, [""] * len(named)),
         _by_joint(named),
         _by_joint([entry for entry in named if not entry.is_hint], _hints(named)),
+        _by_kind(named),
         f"{counted(len(named), 'effect')}, listed in the report",
     )
 
@@ -95,6 +96,13 @@ def _by_joint(named: Sequence[FoundEffect], rest: str = "") -> str:
         for name, joints in groups.items()
     ]
     return "; ".join([*words, rest] if rest else words)
+
+
+def _by_kind(named: Sequence[FoundEffect]) -> str:
+    """Return on how many joints each kind of effect is, and how many are hints alone."""
+    sure = Counter(entry.effect for entry in named if not entry.is_hint)
+    kinds = [f"{name} ({n} times)" if n > 1 else name for name, n in sure.items()]
+    return "; ".join(filter(None, [*kinds, _hints(named)]))
 
 
 def _times(joint: str, n: int) -> str:

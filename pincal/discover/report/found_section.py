@@ -55,8 +55,10 @@ from pincal.units import (
 
 # An effect with more parameters than this is a curve; its numbers are in discovery.json.
 _FEW: Count = 4
-# Effects of which a page shows a card each, before the rest is folded.
-_CARDS: Count = 10
+# Effects that entered a model in one step, of which a card names so many others.
+_TOGETHER: Count = 1
+# Effects of which a page shows a card each; of more, a figure has the names, and cards are folded.
+_CARDS: Count = 6
 
 
 FOUND = "discovery.json#"
@@ -196,26 +198,29 @@ def _named(found: Findings) -> Iterator[PageBlock]:
         )
         for is_hint in (False, True)
     )
+    counts = figures("stability", stability_drawings(found))
+    is_long = len(found.effects) > _CARDS and bool(counts)
+    if is_long:
+        yield counts
     if sure or not hints:
-        yield from _cards(sure) if sure else (paragraph(no_effect_words(found)),)
+        yield from _cards(sure, "effect", is_long) if sure else (paragraph(no_effect_words(found)),)
     if hints:
         yield paragraph(
             f"{HINTS}. They are in the model, but do not order spare parts because of them.", "care"
         )
-        yield from _cards(hints)
+        yield from _cards(hints, "hint", is_long)
     if found.only_in_halves:
         yield paragraph(f"{subsample_only_words(found)}.", "note")
     if found.bootstrap:
         yield paragraph(bootstrap_words(found.bootstrap), "mute")
-    if drawings := [*stability_drawings(found)]:
-        yield figures("stability", drawings)
+    if counts and not is_long:
+        yield counts
 
 
-def _cards(cards: Sequence[Markup]) -> Iterator[PageBlock]:
-    """Yield cards side by side, all but the first ones folded."""
-    yield arranged("cards", *cards[:_CARDS])
-    if rest := cards[_CARDS:]:
-        yield folded(counted(len(rest), "further effect"), arranged("cards", *rest))
+def _cards(cards: Sequence[Markup], kind: str, is_long: bool) -> Iterator[PageBlock]:
+    """Yield cards side by side, folded where the page has many."""
+    shown = arranged("cards", *cards)
+    yield folded(f"{counted(len(cards), kind)}, one by one", shown) if is_long else shown
 
 
 def _step(found: Findings, entry: FoundEffect) -> tuple[FoundEffect, ...]:
@@ -283,7 +288,7 @@ def _gain(at: str, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
     error, and its p-value.
     """
     names = [effect_words(other) for other in others]
-    together = f", together with {few(names, _FEW)}" if names else ""
+    together = f", together with {few(names, _TOGETHER)}" if names else ""
     return rich(
         'mean held-out error {}{}; p-value: <span class="nw">{}</span>.',
         sourced(gain_words(entry), *_gain_pointers(at, entry)),
