@@ -200,10 +200,16 @@ class Linearised:
         )
 
     def release(self) -> None:
-        """Free the memory of many stations' equations; they are recomputed on demand."""
+        """Free the memory of many stations' equations; they are recomputed on demand.
+
+        Of few stations the posterior stays: it is smaller by far than what it was summed from, and
+        every step that is refused asks for it again.
+        """
         if not self._are_kept and self._squares:
-            for kept in (self.normals, self.sums, self.posteriors):
-                kept.clear()
+            self.normals.clear()
+            self.sums.clear()
+            if len(self.problem.stations) > _FEW:
+                self.posteriors.clear()
 
     @cached_property
     def _are_kept(self) -> bool:
