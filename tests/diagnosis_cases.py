@@ -64,6 +64,7 @@ class Case:
         truth: what has changed; None for nothing.
         strength: its lambda.
         measure_others: measures 100 other poses of the later robot in the later station, without noise.
+        size: of the change, where its kind has one number: of an offset [rad].
     """
 
     model: FittedRobot
@@ -71,6 +72,7 @@ class Case:
     truth: Truth | None
     strength: float
     measure_others: Callable[[], Measurements]
+    size: float | None = None
 
 
 @dataclass(frozen=True)
@@ -121,16 +123,17 @@ def draw_case(
     model = fit.at()
     few = kind in ("null", "offset", "bent", "tilt")
     new = _scene(machine, int(rng.integers(12 if few else 30, 61)), rng, light=light, temperature=warm[1])
-    later, truth, got = machine, None, 0.0
+    later, truth, got, by = machine, None, 0.0, None
     if kind != "null":
         changed, truth = _change(kind, machine, rng)
         size = _sized(changed, model, new, strength)
         if size is None:
             return None
-        later, got = changed(size), strength
+        later, got, by = changed(size), strength, 1e-3 * size if kind == "offset" else None
     noise = SIGMA * rng.standard_normal((len(new.q), 3))
     there = replace(_scene(machine, 100, rng, light=light, temperature=warm[1]), hall=new.hall, tool=new.tool)
-    return Case(model, new.table(new.positions(later) + noise), truth, got, lambda: there.table(there.positions(later)))
+    table = new.table(new.positions(later) + noise)
+    return Case(model, table, truth, got, lambda: there.table(there.positions(later)), by)
 
 
 def _missed(

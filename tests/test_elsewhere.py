@@ -233,6 +233,20 @@ def test_the_command_tells_it_in_a_line(robot, tmp_path, capsys):
     assert json.loads((tmp_path / "o" / "result.json").read_text())["elsewhere"]["over"] == "task.csv"
 
 
+@pytest.mark.long
+def test_a_task_of_which_nothing_can_be_stated_is_answered(robot, tmp_path, capsys):
+    """Of sockets no instrument tells positions: ``--task`` was passed over without a word."""
+    write_table(tmp_path / "task.csv", dict(zip(robot.joint_names, spread(robot, 5).T, strict=True)))
+    rows = tmp_path / "rows.csv"
+    run(["simulate", str(kuka_urdf_path()), "--sockets", "2", "--poses", "60", "--seed", "1", "--out", str(rows), "--quiet"])
+    known = ["--socket-distance", "socket_1", "socket_2", "0.05", "--cell", "none", "--task", str(tmp_path / "task.csv")]
+    capsys.readouterr()
+    run(["calibrate", str(kuka_urdf_path()), str(rows), *known, "--out", str(tmp_path / "o"), "--quiet"])
+
+    notes = [note["text"] for note in json.loads((tmp_path / "o" / "result.json").read_text())["warnings"]]
+    assert any(note.startswith("nothing is stated of the error at the poses of task.csv") for note in notes)
+
+
 PLANS = SHARED / "cases" / "plans"
 
 

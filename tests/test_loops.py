@@ -418,6 +418,7 @@ def test_loops_that_no_urdf_closes_leave_a_model(tmp_path: Path, capsys: pytest.
     assert "calibrated.urdf" not in capsys.readouterr().out and not (tmp_path / "r" / "calibrated.urdf").exists()
     page = (tmp_path / "r" / "report.html").read_text()
     assert "calibrated.urdf is not written" in page and "(--model elastic)" in page
+    assert "other programs calibrated.urdf" not in page and "model.json, which alone holds the calibration" in page
     assert (tmp_path / "r" / "model.json").exists()
 
 

@@ -495,3 +495,23 @@ def test_named_points_tell_which_are_known() -> None:
     assert points.slot.tolist() == [0, -1, 1]
     np.testing.assert_array_equal(points.positions(np.arange(6.0)), [[0, 1, 2], [1, 2, 3], [3, 4, 5]])
     assert points.are_in_line
+
+
+def test_points_that_another_station_knows_free_no_base(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """A station that reads unknown anchors alone has the robot's base as its frame, whatever is known of other anchors."""
+    known = anchored(machine, kuka, poses=40, noise=5e-5)
+    unknown = measurements_from_arrays(
+        kuka.joint_names,
+        known.q,
+        distance=known.distance,
+        anchor=np.array([f"my_{name}" for name in known.point_names]),
+    )
+    both = {"first": known, "second": unknown}
+    fit = fit_tables(kuka, both, Options(effects=GEOMETRIC, sigma=5e-5, setup=Setup(points=ANCHORS)))
+    tied = Setup(points=ANCHORS, distances=(KnownDistance("my_n", "e", 1.0),)).over(unknown)
+
+    names = [parameter.name for parameter in fit.problem.parameters]
+    sigma = dict(zip(names, fit.estimate.sigma, strict=True))
+    assert "first/base.x" in sigma and "second/base.x" not in sigma
+    assert max(sigma[f"second/my_{name}.{axis}"] for name in ANCHORS for axis in "xyz") < 0.05
+    assert tied.points["e"] == ANCHORS["e"] and tied.points["my_n"] is None

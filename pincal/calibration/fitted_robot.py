@@ -35,7 +35,7 @@ from pincal.calibration.result_tables import (
 )
 from pincal.calibration.robot_words import in_few_lines, in_one_line
 from pincal.calibration.unmodelled import Unmodelled
-from pincal.errors import BadInputError, MeasurementError
+from pincal.errors import BadInputError, MeasurementError, RobotFileError
 from pincal.identify import split
 from pincal.identify.explain import ParameterFinding, explain
 from pincal.identify.fit import ModelFit, Solution
@@ -777,6 +777,21 @@ class FittedRobot:
             )
 
         write_model_file(path, made)
+
+    @cached_property
+    def without_urdf(self) -> str:
+        """Why no URDF holds the calibrated arm: its loops do not close as one has them; empty where
+        one does.
+
+        The model predicts nevertheless.
+        """
+        if self.robot_model().model.chain.robot.linkage is None:
+            return ""
+        try:
+            self.export_urdf()
+        except RobotFileError as error:
+            return str(error)
+        return ""
 
     def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
         """Return the robot's URDF with the calibrated geometry, and write it to a file if one is

@@ -29,7 +29,7 @@ from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import print_json, provenance, require_accuracy, robot_notes_in_result
 from pincal.cli.result_place import results_option
 from pincal.cli.robot_priors import load_prior
-from pincal.errors import BadInputError, Exit, IdentificationError, RobotFileError
+from pincal.errors import BadInputError, Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 from pincal.satellites import Place
 from pincal.spread import own_processes
@@ -54,6 +54,10 @@ _VIEWS: Place[Callable[[Path, Calibration], None]] = Place("views")
 # Times within which a cluster has to answer, and then to have a worker [s].
 _ANSWER: Scale = 5.0
 _WORKER: Scale = 10.0
+_NOTHING_AT_TASK = (
+    "nothing is stated of the error at the poses of {}: no reading is of an instrument that sees "
+    "positions; measure some poses by one, as a table of its own beside these"
+)
 FIT_FILES = (
     "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, "
     "residuals.csv and report.html"
@@ -212,11 +216,13 @@ class _Inputs:
         from pincal.notes import doubts_first
 
         result = output.calibration.result
-        if self.doubts:
-            result = replace(result, warnings=doubts_first([*self.doubts, *result.warnings]))
+        said = list(self.doubts)
         if self.task is not None:
             elsewhere = elsewhere_of(output.calibration.fit, self.task)
             result = replace(result, elsewhere=elsewhere or UNSET)
+            said += [] if elsewhere else [_NOTHING_AT_TASK.format(self.task.source)]
+        if said:
+            result = replace(result, warnings=doubts_first([*said, *result.warnings]))
         return output.with_result(result)
 
 
@@ -358,15 +364,9 @@ def _write_urdf(folder: Path, fit: FittedRobot) -> tuple[str, ...]:
         RobotFileError: if it can't be written, except for an arm whose calibrated loops do not
             close as a URDF has them: the model predicts nevertheless.
     """
-    from pincal.io.urdf_export import calibrated_urdf
-
-    robot = fit.robot_model()
-    try:
-        export = calibrated_urdf(robot.model, robot.values, comment=fit.identity.machine)
-    except RobotFileError as error:
-        if robot.model.chain.robot.linkage is None:
-            raise
-        return (f"calibrated.urdf is not written, the calibration is in model.json only: {error}",)
+    if why := fit.without_urdf:
+        return (f"calibrated.urdf is not written, the calibration is in model.json only: {why}",)
+    export = fit.export_urdf()
     (folder / "calibrated.urdf").write_bytes(export.text)
     return tuple(export.notes)
 

@@ -184,15 +184,18 @@ def steps_after(calibration: Calibration, search: SearchReport | None = None) ->
     if not steps:
         is_adequate = judged(result, search).judgement is not Verdict.NOT_ADEQUATE
         within = "" if is_adequate else " where its uncertainty suffices"
-        steps.append(NextStep(f"Use it{within}: {_USE}", Act.USE))
+        others = _WITHOUT_URDF if calibration.fit.without_urdf else _OTHERS
+        steps.append(NextStep(f"Use it{within}: {_USE.format(others)}", Act.USE))
     steps += map(NextStep, _improvements(calibration, search))
     return steps
 
 
 _USE = (
-    "pincal predict, compensate and measure take model.json, other programs calibrated.urdf; in a "
-    "few months pincal diagnose tells whether the robot has changed."
+    "pincal predict, compensate and measure take model.json, {}; in a few months pincal diagnose "
+    "tells whether the robot has changed."
 )
+_OTHERS = "other programs calibrated.urdf"
+_WITHOUT_URDF = "which alone holds the calibration"
 
 
 def _improvements(calibration: Calibration, search: SearchReport | None) -> Iterator[str]:

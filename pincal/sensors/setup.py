@@ -144,9 +144,21 @@ class Setup:
     fit_lens: bool = False
 
     def over(self, table: TableRows) -> Setup:
-        """Return the setup with all points of a table, new ones as unknown."""
+        """Return the setup with all points of a table, new ones as unknown.
+
+        Where no reading is of a known point, or of one at a known distance from it, known points
+        are of other tables: the instrument's frame is then the robot's base.
+        """
         names = table.point_names
-        return self if names is None else replace(self, points=self.named(np.unique(names)).places)
+        if names is None:
+            return self
+        read = set(map(str, np.unique(names)))
+        ends = [{gap.first, gap.second} for gap in self.distances]
+        tied = read.union(*(pair for pair in ends if pair & read))
+        known = {name for name, place in self.points.items() if place is not None}
+        unknown = {name: None for name in self.points if name not in known}
+        here = self if known & tied else replace(self, points=unknown)
+        return replace(here, points=here.named(np.unique(names)).places)
 
     def named(self, names: Sequence[str] | np.ndarray = ()) -> NamedPoints:
         """Return the named points with the distances between them; further ``names`` are unknown
