@@ -467,7 +467,8 @@ def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
     ]
     note = (
         "since: the first check after the change; odds: how much more probable the change makes "
-        "the readings (e-value); beyond doubt: over 10 billion to 1"
+        "the readings (e-value); beyond doubt: over 10 billion to 1; a joint without a symbol: "
+        "several of its parameters at once"
     )
     return Table("Changes", columns, tuple(rows), (note,) if rows else ())
 
