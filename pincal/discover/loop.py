@@ -119,7 +119,8 @@ def _with_rows_independent(fit: ModelFit) -> ModelFit:
 def _named(search: Search) -> SearchState:
     """Return the state in which a sample of the rows has named all that it shows."""
     few, _ = sampled(search.first, search.policy)
-    return _after(_NAMING, SearchState(few), search)
+    # A copy, whose tests of the latest fit are large and of no use to what follows.
+    return _after(_NAMING, SearchState(few), replace(search))
 
 
 def _ended(state: SearchState, search: Search) -> History:
