@@ -317,7 +317,7 @@ def _as_suggested(state: SearchState, step: SearchStep, search: Search) -> Searc
         if all(min(abs(_order(e) - k) for k in cause.orders) < width for e in part)
     ]
     rest = reduce(without, chain.from_iterable(inside), state.fit)
-    until = search.until(Tolerance.SETTLED)
+    until = search.until(told_by(rest))
     after = refit(rest, [*rest.options.effects, cause], start={}, until=until)
     if deviance(after) > deviance(state.fit) + search.policy.tie:
         return state

@@ -43,7 +43,7 @@ from pincal.discover.steps import (
     reject_outliers_again,
 )
 from pincal.discover.sure_names import add_sure_names
-from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order, told_by
+from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order
 from pincal.identify.choices import deviance
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
@@ -119,7 +119,8 @@ def _with_rows_independent(fit: ModelFit) -> ModelFit:
 def _named(search: Search) -> SearchState:
     """Return the state in which a sample of the rows has named all that it shows."""
     few, _ = sampled(search.first, search.policy)
-    return _after(_NAMING, SearchState(few), search)
+    # A copy, whose tests of the latest fit are large and of no use to what follows.
+    return _after(_NAMING, SearchState(few), replace(search))
 
 
 def _ended(state: SearchState, search: Search) -> History:
@@ -208,15 +209,15 @@ def _withdraw_steps_in_time(
 
     The others are kept if the step is not seen without them.
     """
+    # A sample of the rows tells whether there is anything to judge by all.
+    few, _ = sampled(found.final, found.policy)
     for variable in _OF_SESSION:
         following = [step for step in names if step.effect.locus.follows == variable]
         if not following:
             continue
         gone = {effect.identity for step in following for effect in step.effects}
-        kept = [effect for effect in found.final.options.effects if effect.identity not in gone]
-        if _is_changed_midway(
-            refit(found.final, kept, start={}, until=told_by(found.final)), variable
-        ):
+        kept = [effect for effect in few.options.effects if effect.identity not in gone]
+        if _is_changed_midway(refit(few, kept, start={}, until=Tolerance.TOLD), variable):
             withdrawn = _without(found, names, is_shifted)
             return _without(found, following, is_shifted) if withdrawn is found else withdrawn
     return found
