@@ -1,5 +1,6 @@
 """A table that is not what it seems is refused with what is wrong with it, found by trying; sound tables are not."""
 
+import contextlib
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from command_line import run
 from placed_arms import FIRST, NOISE, TOOL, measured, written
+from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
@@ -145,6 +147,26 @@ def test_wrong_orientations_are_named(kuka: Robot, poses: Measurements, what: st
     assert not list(implausible(fitted(kuka, poses), [poses]))
     with pytest.raises(MeasurementError, match=words):
         run_calibration(kuka, change(poses), Options(effects=GEOMETRIC))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("turned", "times"), [(False, 1), (True, 2)])
+def test_positions_are_searched_alone_where_orientations_may_hide_something(
+    kuka: Robot, poses: Measurements, turned: bool, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Positions that no arm explains, beside orientations that it does, were searched for mistakes twice."""
+    monkeypatch.setattr(trials.Trials, "described", lambda *_, **__: None)
+    searched, cures = list[bool](), trials.Trials.cures
+    monkeypatch.setattr(
+        trials.Trials, "cures", lambda self, error: searched.append(self.case.table.has_orientations) or cures(self, error)
+    )
+    wave = 0.03 * np.sin(poses.q @ np.array([[0.0, 5.0, 3.0, 0.0, 0.0, 0.0]] * 3).T + np.arange(3.0))
+    wavy = poses.with_readings(position=poses.position + wave)
+    if turned:
+        wavy = wavy.with_readings(quaternion=Rotation.random(len(wavy), rng=np.random.default_rng(3)).as_quat())
+    with contextlib.suppress(MeasurementError):
+        run_calibration(kuka, wavy, Options(effects=GEOMETRIC))
+    assert searched == [True, False][:times]
 
 
 # Real tables are told either way below.

@@ -108,13 +108,13 @@ return [shown.map((e) => [e.textContent, box(e)]), box(document.getElementById('
 def test_no_label_covers_another_or_is_cut(
     browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path, width: int, height: int
 ) -> None:
-    """From wherever one looks, labels are apart and whole within the picture; frames have theirs before the joints."""
+    """From all around, labels are apart and whole within the picture; base and tool have theirs, which are in it."""
     write_html(tmp_path / "view.html", build_scene(machine(ur10, rng), grid=30))
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 720}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     try:
         opened(browser, (tmp_path / "view.html").as_uri())
-        for azimuth in np.linspace(0.0, 2.0 * np.pi, 4)[:-1]:
+        for azimuth in np.linspace(0.0, 2.0 * np.pi, 13)[:-1]:
             browser.execute_script(
                 "const c = viewer.camera.position.sub(viewer.controls.target), r = Math.hypot(c.x, c.z);"
                 "c.x = r * Math.cos(arguments[0]); c.z = r * Math.sin(arguments[0]); c.add(viewer.controls.target);"

@@ -76,6 +76,23 @@ def test_the_scatter_within_and_between_stops_is_found() -> None:
     assert found.drives > 0.8
 
 
+@pytest.mark.parametrize("arrival", [0.0, 8e-5])
+def test_a_declared_noise_is_no_arrival(arrival: float) -> None:
+    """Of one reading a visit, what a pose scatters by beyond the declared noise is the robot's: noise counts once."""
+    robot, rng = drawn(4, arrival)
+    table = robot.measured(MeasuringPlan(60, visits=4), rng)
+    declared, found = (
+        pincal.calibrate(robot.robot, table, Options(effects=GEOMETRIC, sigma=sigma)).at().station.repeatability
+        for sigma in (NOISE, None)
+    )
+    whole = found.between_stops[0]
+    of_drives = declared.between_stops[0]
+
+    assert found.within_stop[0] == 0.0 and np.hypot(declared.within_stop[0], of_drives) == pytest.approx(whole, rel=1e-3)
+    assert of_drives < 0.35 * NOISE if arrival == 0.0 else of_drives == pytest.approx(np.sqrt(whole**2 - NOISE**2), rel=1e-3)
+    assert declared.within_stop[0] == pytest.approx(NOISE, rel=0.1)
+
+
 def test_repeatability_is_kept_with_the_model(tmp_path: Path) -> None:
     """A model of revisited poses knows the scatter of single stops from its file, too; single rows show only its levers."""
     robot, rng = drawn(2, 4e-5)

@@ -19,8 +19,8 @@ class Repeatability(Record, frozen=True, kw_only=True):
     shape (blocks,) each.
 
     Attributes:
-        within_stop: of a reading about the mean of its stop [m, rad, px]; 0 where nothing was
-            repeated in a stop.
+        within_stop: of a reading about the mean of its stop [m, rad, px]; where nothing was
+            repeated in a stop the declared noise, 0 if none was.
         between_stops: of a stop about the mean of its pose, without that of its readings; 0 where
             no pose was revisited.
         within_degrees: degrees of freedom of the first.

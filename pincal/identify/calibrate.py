@@ -206,6 +206,7 @@ def _worked_out(
         plan = plans[station.name]
         single = station if means is table else fit.readings(table, station=station.name)
         of_table = scatter_of_stops(single, fit.values[places], plan)
+        of_table = of_table.with_declared(fit.noise.declared[blocks])
         sound = np.flatnonzero(fit.solution.weights[rows] > 0.0)
         shared, drives = shared_in_fit(
             station.select(sound),

@@ -17,7 +17,7 @@ and v have another noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -45,9 +45,10 @@ class StopScatter:
     shape (blocks,) each.
 
     Attributes:
-        within: variance of a reading about the mean of its stop; 0 where nothing was repeated.
-        between: variance of a stop about the mean of its pose, without that of its readings; 0
-            where no pose was revisited.
+        within: variance of a reading about the mean of its stop; 0 where nothing was repeated, and
+            no noise was declared.
+        between: variance of a stop about the mean of its pose, without that of its readings, as far
+            as this is shown or declared; 0 where no pose was revisited.
         within_degrees: degrees of freedom of the first, readings times components; 0 where nothing
             was repeated.
         between_degrees: degrees of freedom of the second.
@@ -100,6 +101,25 @@ class StopScatter:
             return noise**2
         of_row = self.of_row(self.readings, self.stops)
         return np.asarray(np.maximum(noise**2 - self.of_row(1.0), 0.0) + of_row)
+
+    def with_declared(self, noise: Sequence[float | None]) -> StopScatter:
+        """Return the scatter with the declared noise of a reading for each block, if any, as that
+        within stops, where none was read twice.
+
+        What stops at a pose show is then without it, as they arrive; both together are as shown.
+
+        Example:
+            >>> none, shown = np.zeros(1), np.array([25.0])
+            >>> arrived = StopScatter(none, shown, none, np.array([60.0])).with_declared([4.0])
+            >>> arrived.within.tolist(), arrived.between.tolist()
+            ([16.0], [9.0])
+        """
+        declared = np.array([0.0 if sigma is None else sigma**2 for sigma in noise])
+        within = np.where(
+            self.within_degrees > 0.0, self.within, np.minimum(declared, self.between)
+        )
+        between = np.where(self.within_degrees > 0.0, self.between, self.between - within)
+        return replace(self, within=within, between=between)
 
     def known_with(self, other: StopScatter) -> StopScatter:
         """Return the variances of this table where it shows them, else those of another one."""

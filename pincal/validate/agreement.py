@@ -179,7 +179,8 @@ class _Suspect:
         if by_positions is not None:
             if by_positions.is_plausible:
                 self.refuse_orientations(by_positions)
-            if not by_positions.is_sound and (found := by_positions.likeliest()) is not None:
+            # Where orientations hide nothing, positions alone were searched with them.
+            if self.may_hide(by_positions) and (found := by_positions.likeliest()) is not None:
                 return by_positions.believed(found, is_held=is_held)
         self.refuse_another_robot()
         return None
@@ -195,6 +196,15 @@ class _Suspect:
             return None
         error = typical_residuals(fit.station, fit.nominal.values)
         return _Suspect(trials, error, left, _pulled(fit), _bounded(fit))
+
+    def may_hide(self, by_positions: _Suspect) -> bool:
+        """Return whether orientations may hide a mistake that the positions of the same table,
+        which are not sound either, show: they are implausible, or positions fit better alone.
+        """
+        if by_positions.is_sound:
+            return False
+        is_turned = self.left[1] >= self.trials.limits.orientation
+        return is_turned or by_positions.exceeded < self.exceeded / AGREEMENT.improved
 
     def _enough(self, shifts: Mistake) -> float:
         """Return the residuals, relative to plausible ones, below which shifts of zeros explain

@@ -628,21 +628,28 @@
     // Points may be close together, as in sockets: the robot is in the picture, too.
     const points = floats(scene.fields.layers[0].points), shown = [];
     for (let k = 0; k < points.length; k += 3) shown.push(new THREE.Vector3().fromArray(points, k));
-    for (const frame of [base, ...linkFrames(pose)]) shown.push(new THREE.Vector3().setFromMatrixPosition(frame));
-    const middle = new THREE.Box3().setFromPoints(shown).getCenter(new THREE.Vector3());
+    const arm = [base, ...linkFrames(pose)].map((frame) => new THREE.Vector3().setFromMatrixPosition(frame));
+    const middle = new THREE.Box3().setFromPoints([...shown, ...arm]).getCenter(new THREE.Vector3());
     // The viewer's own axes: y is up.
     const ownAxes = (at) => new THREE.Vector3(at.x, at.z, -at.y), seen = ownAxes(middle);
-    const back = new THREE.Vector3(0.72, 0.34, 0.6).normalize();
-    const right = new THREE.Vector3(0, 1, 0).cross(back).normalize(), up = back.clone().cross(right);
     const tall = Math.tan((21 * Math.PI) / 180), wide = (tall * view.clientWidth) / view.clientHeight;
     // Links are thicker than their joints' frames are apart, and labels stand beside them.
     const thick = 0.08 * scene.reach;
-    const away = shown.map((at) => {
+    const back = new THREE.Vector3(0.72, 0.34, 0.6).normalize(), upwards = new THREE.Vector3(0, 1, 0);
+    function away(at, turn) {
+      // How far back a point is in the picture, from that far around the vertical.
+      const from = back.clone().applyAxisAngle(upwards, turn);
+      const right = upwards.clone().cross(from).normalize(), up = from.clone().cross(right);
       const off = ownAxes(at).sub(seen);
-      return off.dot(back) + Math.max((Math.abs(off.dot(up)) + thick) / tall, (Math.abs(off.dot(right)) + thick) / wide);
-    });
+      return off.dot(from) + Math.max((Math.abs(off.dot(up)) + thick) / tall, (Math.abs(off.dot(right)) + thick) / wide);
+    }
+    // Whoever walks around the robot has all of it in the picture.
+    const turns = Array.from({ length: 24 }, (_, k) => (k * Math.PI) / 12);
+    const distance = Math.max(
+      ...shown.map((at) => away(at, 0)), ...arm.flatMap((at) => turns.map((turn) => away(at, turn))),
+    );
     viewer.controls.target.copy(seen);
-    viewer.camera.position.copy(back.multiplyScalar(Math.max(...away)).add(seen));
+    viewer.camera.position.copy(back.multiplyScalar(distance).add(seen));
     viewer.controls.update();
   }
 
