@@ -116,16 +116,20 @@ class CorrectorPage(Format):
             notes=notes,
             worth=worth_of(calibrated),
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
-            model=js_source(formulas),
+            model=js_source(formulas, checked_formulas(calibrated, "instrument")),
             style=style,
             script="\n".join(scripts),
         )
         return Exported({"": html.encode()}, notes, worst)
 
 
-def js_source(formulas: Formulas) -> str:
-    """Return the calibrated model and its compensation in JavaScript; ``formulas`` are in the base
-    frame.
+def js_source(formulas: Formulas, seen: Formulas) -> str:
+    """Return the calibrated model and its compensation in JavaScript.
+
+    Args:
+        formulas: in the base frame, in which controllers compute.
+        seen: in the instrument's frame, of which the uncertainty is: where the base stands is known
+            worse than where the tool is, and programs do not rest on it.
     """
     found = formulas.calibrated
     robot = found.model.chain.robot
@@ -148,7 +152,7 @@ def js_source(formulas: Formulas) -> str:
             (
                 _function(formulas, "calibrated"),
                 _function(nominal, "nominal"),
-                _uncertainty(formulas),
+                _uncertainty(seen),
             )
         ),
     )
