@@ -101,6 +101,7 @@ class CorrectorPage(Format):
 
         placed_in(calibrated, self.frame)
         formulas = checked_formulas(calibrated, "base")
+        seen = checked_formulas(calibrated, "instrument")
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
         templates = files("pincal.programs").joinpath("page")
         style, *scripts = (templates.joinpath(name).read_text("utf-8") for name in _PARTS)
@@ -108,7 +109,7 @@ class CorrectorPage(Format):
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
             "corrector.html.j2"
         )
-        notes = export_notes(calibrated, formulas)
+        notes = export_notes(calibrated, seen)
         html = page.render(
             title=calibrated.model.chain.robot.name,
             machine=calibrated.identity.machine,
@@ -116,7 +117,7 @@ class CorrectorPage(Format):
             notes=notes,
             worth=worth_of(calibrated),
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
-            model=js_source(formulas, checked_formulas(calibrated, "instrument")),
+            model=js_source(formulas, seen),
             style=style,
             script="\n".join(scripts),
         )
