@@ -131,14 +131,14 @@ def test_the_page_predicts_and_compensates_as_the_model_does(kuka: Robot, case: 
 @pytest.mark.long
 @ROOMS
 def test_the_page_gives_the_uncertainty_of_predictions(kuka: Robot, tmp_path: Path) -> None:
-    """In JavaScript as in Python; a model without any has none."""
+    """In JavaScript as in Python, in the instrument's frame, as compensate states it; a model without any has none."""
     bare = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka, frame="after", equilibrium=True)
     variances = np.diag(np.linspace(1.0, 2.0, len(bare.values)) * 1e-10)
     uncertain = replace(bare, estimate=estimate_of(bare.model.parameters, bare.values, variances))
     at = poses_of(uncertain, 20, np.random.default_rng(3))
     code = f"const S = {states_of(at, kuka.own_joints)}; return S.map((s) => uncertainty(s));"
     found = answered(export_model(uncertain, "page").text, code, tmp_path)
-    np.testing.assert_allclose(found, in_base_frame(uncertain).position_sigma(at), rtol=0.01)
+    np.testing.assert_allclose(found, uncertain.position_sigma(at), rtol=0.01)
     assert "const uncertainty = null" in export_model(bare, "page").text
 
 

@@ -101,6 +101,7 @@ class CorrectorPage(Format):
 
         placed_in(calibrated, self.frame)
         formulas = checked_formulas(calibrated, "base")
+        seen = checked_formulas(calibrated, "instrument")
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
         templates = files("pincal.programs").joinpath("page")
         style, *scripts = (templates.joinpath(name).read_text("utf-8") for name in _PARTS)
@@ -108,7 +109,7 @@ class CorrectorPage(Format):
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
             "corrector.html.j2"
         )
-        notes = export_notes(calibrated, formulas)
+        notes = export_notes(calibrated, seen)
         html = page.render(
             title=calibrated.model.chain.robot.name,
             machine=calibrated.identity.machine,
@@ -116,16 +117,20 @@ class CorrectorPage(Format):
             notes=notes,
             worth=worth_of(calibrated),
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
-            model=js_source(formulas),
+            model=js_source(formulas, seen),
             style=style,
             script="\n".join(scripts),
         )
         return Exported({"": html.encode()}, notes, worst)
 
 
-def js_source(formulas: Formulas) -> str:
-    """Return the calibrated model and its compensation in JavaScript; ``formulas`` are in the base
-    frame.
+def js_source(formulas: Formulas, seen: Formulas) -> str:
+    """Return the calibrated model and its compensation in JavaScript.
+
+    Args:
+        formulas: in the base frame, in which controllers compute.
+        seen: in the instrument's frame, of which the uncertainty is: where the base stands is known
+            worse than where the tool is, and programs do not rest on it.
     """
     found = formulas.calibrated
     robot = found.model.chain.robot
@@ -148,7 +153,7 @@ def js_source(formulas: Formulas) -> str:
             (
                 _function(formulas, "calibrated"),
                 _function(nominal, "nominal"),
-                _uncertainty(formulas),
+                _uncertainty(seen),
             )
         ),
     )

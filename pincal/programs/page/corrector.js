@@ -115,11 +115,11 @@ function save({ name, text }) {
 
 // --- the table of corrections
 
-// How uncertain the model is at corrected points, root mean square over them.
+// How uncertain the model is at corrected points, root mean square over them: where the tool is, not where the base stands.
 function doubted(rows) {
   if (!uncertainty) return "";
   const mean = rows.reduce((sum, row) => sum + norm(uncertainty(row.state)) ** 2, 0) / rows.length;
-  return ` The model is uncertain by ${(1e3 * Math.sqrt(mean)).toFixed(3)} mm (rms) there.`;
+  return ` ${ABOUT.base ? "In the instrument's frame the" : "The"} model is uncertain by ${(1e3 * Math.sqrt(mean)).toFixed(3)} mm (rms) there.`;
 }
 function tell() {
   const rows = result.rows, ok = rows.filter((row) => row.status === "ok"), left = rows.filter((row) => row.status !== "ok");
