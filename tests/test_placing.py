@@ -13,6 +13,7 @@ from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options
+from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.catalogue import BaseDrift
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
@@ -52,6 +53,16 @@ def test_moves_are_known_as_they_say(machine: sim.TrueMachine, kuka: Robot, fit:
 
     assert (np.sqrt(np.mean(np.square(off), axis=0)) < 1.7).all()
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4
+
+
+def test_what_stood_still_may_have_moved_by_its_uncertainty(kuka: Robot, fit: FittedRobot) -> None:
+    """A set-up that is where it was, to the last digit, is known no better than one that moved; it is not said to have."""
+    q = kuka.random_configurations(40, np.random.default_rng(5))
+    same = measurements_from_arrays(kuka.joint_names, q, position=fit.predict(q)[:, :, 3])
+    found = place_station(fit, same).moved
+
+    assert 1e-5 < found.target_U < 1e-4 and found.target < 0.1 * found.target_U
+    assert "the target moved by less than can be told" in str(found)
 
 
 def test_it_predicts_in_the_new_frame_within_its_uncertainty(

@@ -38,6 +38,7 @@ from pincal.measure.admit import check_placeable
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
 from pincal.measure.stops import StopRows
+from pincal.model.chain import Chain
 from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.robot.se3 import placed as frame_at
@@ -603,35 +604,70 @@ def moved(before: FittedRobot, after: FittedRobot, changed: Collection[str] = ()
     if len({(chain.path.start, chain.path.tip) for chain in chains}) > 1:
         # An instrument on another link has not moved, and another hand has other targets.
         return FrameShift(None, None, None)
+    names = _coordinates(chains)
+    frames, covariance = _two_set_ups((before.estimate, after.estimate), names, changed)
+    rotations = [chain.base_rotation for chain in chains]
+    ways = _displacements(rotations, frames)
+    slopes = _slopes(rotations, frames)
+    covariances = slopes @ covariance @ slopes.transpose(0, 2, 1)
+    both = set(before.estimate.names) & set(after.estimate.names)
+    targets = np.linalg.norm(ways[2:], axis=1)
+    farthest = 2 + int(np.argmax(targets)) if len(targets) else None
+    (instrument, instrument_U), (turned, turned_U), (target, target_U) = (
+        (None, 0.0)
+        if k is None
+        else (float(np.linalg.norm(ways[k])), _expanded(ways[k], covariances[k]))
+        for k in (
+            0 if both >= set(names[0][:3]) else None,
+            1 if both >= set(names[0][3:6]) else None,
+            farthest,
+        )
+    )
+    return FrameShift(instrument, turned, target, instrument_U, turned_U, target_U)
+
+
+def _coordinates(chains: Sequence[Chain]) -> list[list[str]]:
+    """Return the names of the coordinates of the base and of each common target at two stations:
+    one alone is the same by any name.
+    """
     pairs = (
         list(zip(*(chain.targets for chain in chains), strict=True))
         if {len(chain.targets) for chain in chains} == {1}
         else [(name, name) for name in chains[0].targets if name in chains[1].targets]
     )
-    names = [
-        [f"{element}.{symbol}" for element in ("base", *of_one) for symbol in FRAME_SYMBOLS]
-        for of_one in zip(*pairs, strict=True)
-    ] or [[f"base.{symbol}" for symbol in FRAME_SYMBOLS]] * 2
-    frames, covariance = _two_set_ups((before.estimate, after.estimate), names, changed)
-    rotations = [chain.base_rotation for chain in chains]
-    shifts = _displacements(rotations, frames)
-    slopes = np.empty((len(shifts), frames.size))
-    for k, way in enumerate(_DIFFERENCE * np.eye(frames.size)):
+    elements = [("base", *of_one) for of_one in zip(*pairs, strict=True)] or [("base",)] * 2
+    return [
+        [f"{element}.{symbol}" for element in of_one for symbol in FRAME_SYMBOLS]
+        for of_one in elements
+    ]
+
+
+def _slopes(rotations: Sequence[np.ndarray], frames: np.ndarray) -> np.ndarray:
+    """Return the derivatives of :func:`_displacements` by all coordinates, shape (2 + targets, 3,
+    coordinates).
+    """
+    slopes = []
+    for way in _DIFFERENCE * np.eye(frames.size):
         step = way.reshape(frames.shape)
         further, back = (_displacements(rotations, frames + by) for by in (step, -step))
-        slopes[:, k] = (further - back) / (2.0 * _DIFFERENCE)
-    expanded = 2.0 * np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes).clip(0.0))
-    both = set(before.estimate.names) & set(after.estimate.names)
-    is_known = (both >= set(names[0][:3]), both >= set(names[0][3:6]), bool(pairs))
-    instrument, turned, target = (
-        float(shift) if told else None for shift, told in zip(shifts, is_known, strict=True)
-    )
-    return FrameShift(instrument, turned, target, *map(float, expanded))
+        slopes.append((further - back) / (2.0 * _DIFFERENCE))
+    return np.stack(slopes, axis=-1)
+
+
+def _expanded(way: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the expanded uncertainty (k = 2) of the length of a displacement, shape (3,), along
+    it; of one of 0 in any direction.
+    """
+    length = float(np.linalg.norm(way))
+    if not length:
+        return 2.0 * float(np.sqrt(np.linalg.eigvalsh(covariance)[-1].clip(0.0)))
+    along = way / length
+    return 2.0 * float(np.sqrt(max(along @ covariance @ along, 0.0)))
 
 
 def _displacements(rotations: Sequence[np.ndarray], frames: np.ndarray) -> np.ndarray:
-    """Return by how much instrument and targets moved and the instrument turned between two
-    stations [m, rad, m].
+    """Return by how much the instrument moved and turned, and each target moved, between two
+    stations, shape (2 + targets, 3) [m, rad, m].
 
     Args:
         rotations: of the nominal base at each station.
@@ -642,14 +678,8 @@ def _displacements(rotations: Sequence[np.ndarray], frames: np.ndarray) -> np.nd
     ]
     origins = [np.linalg.inv(T)[:3, 3] for T in T_instrument_base]
     turn = T_instrument_base[1][:3, :3] @ T_instrument_base[0][:3, :3].T
-    targets = np.linalg.norm(frames[0, 1:, :3] - frames[1, 1:, :3], axis=1)
-    return np.array(
-        [
-            np.linalg.norm(origins[1] - origins[0]),
-            np.linalg.norm(rotation_vectors(turn[None])[0]),
-            targets.max(initial=0.0),
-        ]
-    )
+    targets = frames[0, 1:, :3] - frames[1, 1:, :3]
+    return np.vstack([origins[1] - origins[0], rotation_vectors(turn[None])[0], targets])
 
 
 def _two_set_ups(
