@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.admit import check_joint_values, check_reach, check_rows, check_table
+from pincal.measure.admit import admit, check_joint_values, check_reach, check_rows, check_table
 from pincal.measure.table import Measurements, measurements_from_arrays
 from pincal.robot.robot import Robot
+from pincal.sensors.setup import Setup
 
 REACH = 2.5
 LOWER, UPPER = np.array([-3.0, -1.0, -2.0]), np.array([3.0, 1.0, 2.0])
@@ -229,6 +230,20 @@ def test_copied_rows_are_a_warning() -> None:
     table, robot = measurements_from_arrays("abc", table.q, position=table.position), _robot()
     with pytest.warns(PincalWarning, match=r"3 rows repeat .* \(line 5, 7, 8\)"):
         check_table(robot, table)
+
+
+def test_a_table_under_two_names_is_told() -> None:
+    """Positions of one table that are another's to the last digit are counted; other readings at the same joints are not."""
+    robot, table = _robot(), _table()
+    first = measurements_from_arrays(robot.joint_names, table.q, position=table.position)
+    off = np.where(np.arange(40)[:, None] < 30, 0.0, 1e-5)
+    again = first.with_readings(position=table.position + off)
+    given = {"monday": replace(first, source="monday.csv"), "tuesday": replace(again, source="tuesday.csv")}
+
+    notes = admit(robot, given, lambda name: Setup()).notes
+    assert [note for note in notes if "30 rows are also in monday.csv, to the last digit" in note]
+    apart = given | {"tuesday": given["tuesday"].with_readings(position=table.position + 1e-5)}
+    assert not [note for note in admit(robot, apart, lambda name: Setup()).notes if "also in" in note]
 
 
 @pytest.mark.parametrize("column", ["position", "target", "time"])

@@ -94,7 +94,23 @@ def admit(
                 _check_count(table, setup, joints=robot.n_joints, purpose=purpose, better=50)
             check_table(robot, table)
             found[name] = table
+        _warn_of_copies(tuple(found.values()))
     return Admitted(found, tuple(notes), _idle_note(idle))
+
+
+def _warn_of_copies(tables: Sequence[Measurements]) -> None:
+    """Warn of positions that are those of an earlier table to the last digit, as of a table that is
+    given under two names.
+    """
+    held = [table for table in tables if table.position is not None and not table.is_of_motion]
+    marks = [_marks(np.hstack([table.q, np.asarray(table.position)])) for table in held]
+    for k, table in enumerate(held):
+        for other, seen in zip(held[:k], marks[:k], strict=True):
+            if copies := int(np.isin(marks[k], seen).sum()):
+                warn(
+                    f"{table.source}: {counted(copies, 'row', 'are')} also in {other.source}, to "
+                    "the last digit; copies add weight but no information: give each reading once"
+                )
 
 
 def refuse_name(robot: Any) -> None:
@@ -278,8 +294,9 @@ def _check_count(
         // sum(block.size for block in sensor.blocks)
     )
     if len(measurements) < needed:
+        what = f"{measurements.kind} measurement"
         raise MeasurementError(
-            f"{measurements.source}: {len(measurements)} {measurements.kind} measurements; "
+            f"{measurements.source}: {counted(len(measurements), what)}; "
             f"expected at least {needed} {purpose}, preferably {better} or more"
         )
 
@@ -357,6 +374,14 @@ def check_rows(measurements: Measurements, *, minimum: int) -> None:
         )
 
 
+def _marks(rows: np.ndarray) -> np.ndarray:
+    """Return a number of each row, shape (N,), which equal rows share."""
+    # Adding 0.0 turns -0.0 into 0.0, so that equal rows have equal bits.
+    bits = np.ascontiguousarray(rows + 0.0).view(np.uint64)
+    odd = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64)
+    return np.asarray((bits * odd).sum(axis=1))
+
+
 def _duplicate_lines(measurements: Measurements) -> list[int]:
     arrays = {name: column for name, column in measurements.columns().items() if name != "rows"}
     numbers = [column for column in arrays.values() if column.dtype.kind in "fi"]
@@ -365,12 +390,10 @@ def _duplicate_lines(measurements: Measurements) -> list[int]:
         for column in arrays.values()
         if column.dtype.kind not in "fi" and np.any(column != column[:1])
     ]
-    # Adding 0.0 turns -0.0 into 0.0, so that equal rows have equal bits.
     table = (
         np.column_stack([np.asarray(column, dtype=float) for column in (*numbers, *names)]) + 0.0
     )
-    odd = np.random.default_rng(0).integers(1, 2**63, table.shape[1], dtype=np.uint64)
-    marks = (table.view(np.uint64) * odd).sum(axis=1)
+    marks = _marks(table)
     in_order = np.sort(marks)
     again = in_order[1:][in_order[1:] == in_order[:-1]]
     if not len(again):
