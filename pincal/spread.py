@@ -238,6 +238,19 @@ _AT_WORKERS: weakref.WeakKeyDictionary[Callable[[Any], Any], list[_Sender]] = (
 
 
 def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iterator[_R]:
+    """Return results; tasks are cancelled that nobody waits for any more."""
+    results = _awaited(futures, label, *needed)
+    # What ends a generator is not done in one that was never asked for anything.
+    weakref.finalize(results, _cancel, futures)
+    return results
+
+
+def _cancel(futures: Sequence[Future[Any]]) -> None:
+    for future in futures:
+        future.cancel()
+
+
+def _awaited(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iterator[_R]:
     """Yield results; ``needed`` objects are kept alive meanwhile."""
     try:
         for future in futures:
@@ -250,8 +263,7 @@ def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iter
                 result = future.result()
             yield result
     finally:
-        for future in futures:
-            future.cancel()
+        _cancel(futures)
 
 
 @contextmanager

@@ -24,7 +24,8 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.decisions import standard_errors
 from pincal.discover.policy import POLICY
-from pincal.discover.run import run_discovery
+from pincal.discover.run import Subsamples, run_discovery
+from pincal.discover.steps import History
 from pincal.identify.calibrate import refit
 from pincal.identify.dependence import (
     _largest_factor,
@@ -370,9 +371,19 @@ def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(
 
 @pytest.mark.parametrize(("phi", "words"), [(0.7, "fitting all"), pytest.param(0.995, "repeating", marks=pytest.mark.long)])
 def test_a_sample_of_rows_far_apart_is_searched_once(
-    kuka: Robot, phi: float, words: str, caplog: pytest.LogCaptureFixture
+    kuka: Robot, phi: float, words: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every twentieth row of an autoregression of 0.7 is independent: its names stand, and all rows are weighted."""
+    """Every twentieth row of an autoregression of 0.7 is independent: its names stand, and all rows are weighted.
+
+    Halves begin once, with what the sample named last, before all rows are fitted.
+    """
+    begun = []
+
+    def begin(trail: History, *rest: object, **more: object) -> Callable[[], Subsamples]:
+        begun.append(trail)
+        return lambda: Subsamples((), 0)
+
+    monkeypatch.setattr("pincal.discover.run.begin_subsamples", begin)
     n = 1200
     rng = np.random.default_rng(5)
     noise = NOISE * (0.8 * autoregression(rng, n, phi) + 0.6 * rng.standard_normal((n, 3)))
@@ -383,6 +394,9 @@ def test_a_sample_of_rows_far_apart_is_searched_once(
 
     assert any(words in record.message for record in caplog.records)
     assert serial is not None and abs(serial.phi[0] - phi) < 0.1 and not is_dependent(found.trail.final)
+    (named,) = begun
+    (station,) = named.final.problem.stations
+    assert len(station) < n and (station.serial is not None) == (words == "repeating")
 
 
 # What is held out

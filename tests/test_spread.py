@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from pincal.errors import BadInputError, WorkersLostError
-from pincal.spread import own_processes, spread
+from pincal.spread import _results, own_processes, spread
 
 TASK = 0.1  # how long a nap is [s]
 
@@ -83,6 +83,20 @@ def test_an_error_of_a_task_is_raised_as_it_is(processes: Executor) -> None:
         list(spread(refuse, range(3), label="item", executor=processes))
 
 
+def test_what_nobody_waits_for_is_not_begun() -> None:
+    """Results that are given up before any of them was asked for: a task that runs ends, others never begin."""
+    begun = []
+
+    def noted(item: int) -> None:
+        begun.append(item)
+        time.sleep(TASK)
+
+    with ThreadPoolExecutor(1) as threads:
+        results = _results([threads.submit(noted, item) for item in range(5)], "item")
+        del results
+    assert begun in ([], [0])
+
+
 def test_a_broken_pool_says_what_to_do() -> None:
     """A process that is killed takes its pool with it; so does the next work that is given to it."""
     with ProcessPoolExecutor(1, mp_context=get_context("fork")) as executor:
@@ -134,7 +148,7 @@ def test_workers_of_a_discovery_that_is_killed_end(tmp_path: Path) -> None:
 
 
 INTERRUPTED = """import signal, sys, time
-from pincal.spread import own_processes, spread
+from pincal.spread import _results, own_processes, spread
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -8,6 +8,7 @@ import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -61,6 +62,13 @@ _LIKE_A_BEARING = ("base", "link")
 _OF_SESSION = ("time", "temperature")
 
 
+class OfWhole(TypedDict, total=False):
+    """What a search on a part of the rows is given of that on all."""
+
+    nameless: Collection[NamelessKind] | None
+    expected: Sequence[Effect] | None
+
+
 def discover_effects(
     fit: ModelFit,
     groups: np.ndarray,
@@ -68,8 +76,8 @@ def discover_effects(
     frames: Sequence[MomentFrame] = (),
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
-    nameless: Collection[NamelessKind] | None = None,
-    expected: Sequence[Effect] | None = None,
+    when_named: Callable[[History], None] | None = None,
+    **of_whole: Unpack[OfWhole],
 ) -> History:
     """Find the effects that a fit lacks.
 
@@ -80,6 +88,11 @@ def discover_effects(
             another fits significantly better.
         extra: effects of the user, candidates like those of the catalogue.
         policy: thresholds and limits.
+        when_named: told what a sample of a table's rows has named before all rows are fitted with
+            that, unless its residuals let expect that it is searched again with weighted rows; and
+            what a search with weighted rows has named.
+
+    Keyword Args:
         nameless: kinds of the unnamed dependences that are candidates (``nameless_kind``); default:
             all.
         expected: effects of a search on more rows, of which these are a part: they enter together
@@ -87,9 +100,14 @@ def discover_effects(
     """
     fit = _with_rows_independent(fit)
     _, rows = sampled(fit, policy)
-    given = tuple(extra), fit, groups[rows], tuple(frames), nameless
+    expected = of_whole.get("expected")
+    given = tuple(extra), fit, groups[rows], tuple(frames), of_whole.get("nameless")
     search = Search(policy, *given, None if expected is None else tuple(expected))
     state = _named(search)
+    is_sample = len(state.fit.problem) < len(fit.problem)
+    # Where all rows are searched, only their last fit shows whether they have to be weighted.
+    if when_named and is_sample and not (fit.options.serial and is_dependent(state.fit)):
+        when_named(_history(state, search))
     found = _ended(state, search)
     noise = _noise_of_order(found, policy) if fit.options.serial else None
     if noise is None:
@@ -102,6 +120,8 @@ def discover_effects(
     else:
         log.info("the residuals depend on the order of the rows: repeating with weighted rows")
         state = _named(search)
+        if when_named:
+            when_named(_history(state, search))
     found = _ended(state, search)
     return found.fitted_again(reweighted_by_order(found.final, Tolerance.TOLD))
 
@@ -125,7 +145,11 @@ def _named(search: Search) -> SearchState:
 
 def _ended(state: SearchState, search: Search) -> History:
     """Return the history in which all rows are fitted with what was named."""
-    state = _after(_ENDING, state, search)
+    return _history(_after(_ENDING, state, search), search)
+
+
+def _history(state: SearchState, search: Search) -> History:
+    """Return a state as a history, with its start."""
     first = in_frame(search.first, state.fit.problem.chain.moment_frame)
     return History(
         state.fit,

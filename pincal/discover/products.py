@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pincal.identify.jacobian import Jacobian
-from pincal.identify.quadratic import Factor, Form
+from pincal.identify.quadratic import Factor, Form, taken
 from pincal.identify.station import Station
 from pincal.thresholds import Count
 
@@ -48,7 +48,7 @@ class Doubted:
         """Return it of the information, shape (N, N), and gradient of rows and priors."""
         known = np.flatnonzero(~is_unsure)
         unsure = np.flatnonzero(is_unsure)
-        factor = Factor.of(H[known[:, None], known])
+        factor = Factor.of(taken(H, known))
         slope = factor.half(g[known])
         across = factor.half(H[known[:, None], unsure])
         left = H[unsure[:, None], unsure] - across.T @ across

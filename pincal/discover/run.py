@@ -10,7 +10,7 @@ effects of the catalogue and those unnamed dependences that were found on all ro
 found on all rows those that the half leaves no doubt of enter together (``sure_names``); the others
 have to be found again one by one. Its last fits converge as closely as tests of names need. Where
 effects are selected on a sample of the rows, see ``Policy.enough_readings``, halves are of this
-sample.
+sample; they begin once it has named all that it shows, while all rows are fitted.
 """
 
 from __future__ import annotations
@@ -232,14 +232,14 @@ def run_discovery(
     if executor is not None:
         wake(executor, stability, begin_subsamples.__module__)
     first = _first_fit(robot, measurements, options, held_back)
-    trail, notes = search(first)
-    halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
+    halves = _Halves(_regions(first), stability, executor)
+    trail, notes = halves.beside(partial(search, first))
     # The following runs while workers search the halves.
     ended = _Ended.of(first, trail, remainder=remainder).lighter
     trail = ended.named
     found = ended.discovery(notes, tuple(left_out))
     bootstrap = bootstrap_last(trail) if stability else None
-    findings = with_subsamples(found.findings, halves(), bootstrap)
+    findings = with_subsamples(found.findings, halves.names(), bootstrap)
     return found.ended(findings, time.perf_counter() - begun)
 
 
@@ -385,10 +385,16 @@ def _search(
     frames: tuple[MomentFrame, ...],
     extra: tuple[Effect, ...],
     policy: Policy,
+    when_named: Callable[[History], None] | None = None,
 ) -> tuple[History, tuple[Note, ...]]:
-    """Return the history of a search from a calibration on, and notes."""
+    """Return the history of a search from a calibration on, and notes.
+
+    ``when_named`` is told names as by :func:`discover_effects`, and what is left of them if some
+    are withdrawn.
+    """
     blocks = np.concatenate(_regions(first)) % TESTING.blocks
-    found = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
+    given: dict[str, Any] = {"frames": frames, "extra": extra, "policy": policy}
+    found = discover_effects(first.fit, blocks, when_named=when_named, **given)
     trail = withdraw_names_at_change(found, partial(is_shifted, rows=first.stations))
     problem = trail.final.problem
     tables = (rows.train for rows in first.stations)
@@ -404,6 +410,8 @@ def _search(
             f"withdrawn, since a change during the session may explain them: {names}; run "
             "again with two stations"
         )
+        if when_named:
+            when_named(trail)
     was = first.fit.options.moment_frame
     frame = trail.final.options.moment_frame
     if frame != was:
@@ -431,6 +439,36 @@ def _discovered(
     """Return the final fit of a discovery on all rows of some stations."""
     trail, _ = search(fit_admitted(robot, tables, options, HeldBack()))
     return FittedRobot.of((with_remainder(trail)[0] if remainder else trail).final)
+
+
+@dataclass
+class _Halves:
+    """The repetition of a search on halves, which begins when its names are known, and again if
+    they become others; arguments as of :func:`begin_subsamples`.
+    """
+
+    regions: Sequence[np.ndarray]
+    count: int
+    executor: Executor | None
+    _begun: Callable[[], Subsamples] | None = None
+
+    def begin(self, trail: History) -> None:
+        """Begin; halves that began with other names are given up."""
+        self._begun = None
+        self._begun = begin_subsamples(trail, self.regions, self.count, executor=self.executor)
+
+    def beside(
+        self, search: Callable[..., tuple[History, tuple[Note, ...]]]
+    ) -> tuple[History, tuple[Note, ...]]:
+        """Return the result of a search, beside the end of which they begin."""
+        trail, notes = search(when_named=self.begin)
+        if self._begun is None:
+            self.begin(trail)
+        return trail, notes
+
+    def names(self) -> Subsamples:
+        """Wait for the names; none if nothing began."""
+        return Subsamples((), 0) if self._begun is None else self._begun()
 
 
 @dataclass(frozen=True)

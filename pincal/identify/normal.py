@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pincal.identify.posterior import Eliminated, eliminate
-from pincal.identify.quadratic import Form, Quadratic
+from pincal.identify.quadratic import Form, Quadratic, taken
 from pincal.identify.station import PIECE, Station
 from pincal.model.effect import Family
 from pincal.sensors.sensor import Grouped
@@ -329,9 +329,7 @@ class Normal:
     def narrowed(self, kept: np.ndarray) -> Normal:
         """Return the equations of the parameters at indices ``kept``, shape (K,)."""
         known = None if self.believed is None else self.believed.taking(kept)
-        return replace(
-            self, H=self.H[..., kept[:, None], kept], g=self.g[..., kept], believed=known
-        )
+        return replace(self, H=taken(self.H, kept), g=self.g[..., kept], believed=known)
 
 
 def accumulate(

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from pincal.identify.jacobian import span
-from pincal.identify.quadratic import NULL, Form
+from pincal.identify.quadratic import NULL, Form, taken
 from pincal.parameters import Covariance, root_of
 from pincal.thresholds import Scale
 
@@ -130,7 +130,7 @@ class Posterior:
         """Information on what has a prior, frames eliminated, in units of the priors."""
         prior, frames = self._parts
         H = self.form.H
-        S = H[..., prior[:, None], prior]
+        S = taken(H, prior)
         S -= H[..., prior[:, None], frames] @ self._follow
         S *= _outer(self.sizes[..., prior])
         return np.asarray(S)
@@ -380,9 +380,9 @@ class Posterior:
             return None
         across = self.form.H[kept[:, None], others]
         slope = base.form.g - base.offsets / base.sizes**2
-        taken = base._by_factor(factor, np.column_stack([across, slope]))
-        H = self.form.H[others[:, None], others] - across.T @ taken[:, :-1]
-        form = Form(H, self.form.g[others] - across.T @ taken[:, -1], self.form.whole[others])
+        solved = base._by_factor(factor, np.column_stack([across, slope]))
+        H = self.form.H[others[:, None], others] - across.T @ solved[:, :-1]
+        form = Form(H, self.form.g[others] - across.T @ solved[:, -1], self.form.whole[others])
         return Posterior(form, self.sizes[others], self.offsets[others])
 
     def _by_factor(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -433,7 +433,7 @@ class Posterior:
             return None
         D = self.sizes[prior]
         at = span(prior)
-        S = H[:, at, at] if isinstance(at, slice) else np.take(np.take(H, at, axis=1), at, axis=2)
+        S = H[:, at, at] if isinstance(at, slice) else taken(H, at)
         S = S - H[..., prior[:, None], frames] @ F
         S *= D
         S *= D[:, None]
@@ -512,7 +512,7 @@ class Posterior:
         H = self.form.H
         at = span(prior)
         # Mostly frames stand together, and the others are a block, which needs no copy of its own.
-        S = H[at, at] if isinstance(at, slice) else np.take(np.take(H, at, axis=0), at, axis=1)
+        S = H[at, at] if isinstance(at, slice) else taken(H, at)
         S = S - H[prior[:, None], frames] @ self._follow
         S *= D
         S *= D[:, None]

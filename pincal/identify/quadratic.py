@@ -41,6 +41,12 @@ _UNTOLD: Scale = 1e-8
 NULL: Scale = 1e-13
 
 
+def taken(H: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the rows and columns of matrices, shape (..., F, F), at some indices, shape (n,)."""
+    # By rows and then by columns, which takes a fraction of the time of both at once.
+    return np.asarray(np.take(np.take(H, at, axis=-2), at, axis=-1))
+
+
 @dataclass(frozen=True, eq=False)
 class Form:
     """Information on F parameters, by index; of several forms, as of stations, with a leading axis.
@@ -65,9 +71,7 @@ class Form:
         """Return the form of the parameters at some indices, shape (n,), conditional on
         the others.
         """
-        # By rows and then by columns, which takes half as long as both at once.
-        H = np.take(np.take(self.H, at, axis=-2), at, axis=-1)
-        return Form(H, self.g[..., at], self.whole[..., at])
+        return Form(taken(self.H, at), self.g[..., at], self.whole[..., at])
 
     def sum(self) -> Form:
         """Return the sum over leading axes; of a single form its own arrays."""
