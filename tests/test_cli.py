@@ -324,7 +324,7 @@ BAD_TABLES = {
     "text in a number": (_with_cell("y", "abc"), "line 5"),
     "no measurement": (lambda c: {n: v for n, v in c.items() if n not in "xyz"}, "measurement"),
     "a column nearly known": (lambda c: c | {"temprature": c["x"]}, "nearest first: temperature"),
-    "one row": (lambda c: {n: v[:1] for n, v in c.items()}, "1 position measurements"),
+    "one row": (lambda c: {n: v[:1] for n, v in c.items()}, "1 position measurement;"),
     "no row": (lambda c: {n: v[:0] for n, v in c.items()}, "no rows"),
     "all poses equal": (lambda c: {n: np.repeat(v[:1], 50) for n, v in c.items()}, "same"),
     "fewer readings than parameters": (lambda c: {n: v[:14] for n, v in c.items()}, "noise"),

@@ -323,7 +323,7 @@ def _half(sigma: float) -> str:
     """Return half of a 95 % interval, given the standard deviation, to two digits.
 
     Example:
-        >>> _half(0.1502), _half(6.1)
+        >>> _half(0.153), _half(6.1)
         ('0.30', '12')
     """
     return f"{INTERVAL * sigma:#.2g}".removesuffix(".")
