@@ -168,12 +168,15 @@ def test_innovations_weigh_by_the_inverse_of_the_covariance() -> None:
     np.testing.assert_allclose(serial.coloured(found[0]), columns[0], atol=1e-12)
 
 
+@pytest.mark.parametrize("pause", [0.0, 1e4])
 @pytest.mark.parametrize("gap", [1, 4, 12])
-def test_the_variance_of_a_mean_of_correlated_rows_is_raised(gap: int) -> None:
-    """By the sum of their covariance over that of independent rows; the component that is raised most counts."""
-    place = gap * np.arange(300.0)
+def test_the_variance_of_a_mean_of_correlated_rows_is_raised(gap: int, pause: float) -> None:
+    """By the sum of their covariance, however uneven their gaps; the component that is raised most counts."""
+    place = gap * np.arange(300.0) + pause * (np.arange(300) // 20)
     phi, share = np.array([0.9, 0.5, 0.99]), np.array([0.7, 0.3, 0.0])
-    expected = 1.0 + 2.0 * sum(0.7 * 0.9 ** (gap * apart) for apart in range(1, 300))
+    covariance = 0.7 * 0.9 ** np.abs(place - place[:, None])
+    np.fill_diagonal(covariance, 1.0)
+    expected = covariance.sum() / 300
 
     assert Serial(phi, share, place, np.ones(300, bool)).inflation == pytest.approx(expected)
 

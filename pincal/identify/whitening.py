@@ -207,14 +207,17 @@ class Serial:
 
     @property
     def inflation(self) -> float:
-        """Factor by which the correlation raises the variance of a mean of many rows as far apart
-        as these on average; the largest of all components.
+        """Factor by which the correlation raises the variance of a mean of these rows; the largest
+        of all components.
         """
-        n = len(self.position)
-        if n < 2:
-            return 1.0
-        of_next = np.minimum(self.phi ** (np.ptp(self.position) / (n - 1)), 1.0 - 1e-12)
-        return float(np.max(1.0 + 2.0 * self.share * of_next / (1.0 - of_next)))
+        before = np.zeros(len(self.phi))
+        of_pairs = np.zeros(len(self.phi))
+        for gap in np.diff(np.sort(self.position)):
+            # The sum of the correlations of a row with all those before it.
+            before = self.phi**gap * (1.0 + before)
+            of_pairs += before
+        n = max(len(self.position), 1)
+        return float(np.max(1.0 + 2.0 * self.share * of_pairs / n))
 
     @property
     def alone(self) -> np.ndarray | None:
