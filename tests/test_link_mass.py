@@ -31,7 +31,7 @@ from pincal.model.catalogue.masses import LinkMass, with_masses
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
-from pincal.report.sections import moments as moments_section
+from pincal.report.parameter_sections import moments as moments_section
 from pincal.report.subject import Subject
 from pincal.robot.arm_of_tree import are_placeholders, are_too_light, guessed_masses
 from pincal.simulate import paper_positions

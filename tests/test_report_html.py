@@ -17,11 +17,11 @@ from pincal.calibration.calibration import Calibration
 from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
 from pincal.identify.explain import Cause, Reason
-from pincal.report import sections
+from pincal.report import parameter_sections, sections
 from pincal.report.blocks import Section, paragraph
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups
-from pincal.report.sections import _headline
+from pincal.report.result_section import _headline
 from pincal.report.subject import Subject
 from pincal.report.words import effect_meaning, is_worse_elsewhere
 from pincal.result_table import Column, Kind, Table
@@ -181,7 +181,7 @@ def test_many_joints_and_parameters_are_folded(
     assert "further joint" not in page
     assert "parameters determined</summary>" not in page
     monkeypatch.setattr(sections, "_DRAWN_JOINTS", 4)
-    monkeypatch.setattr(sections, "_LISTED_PARAMETERS", 3)
+    monkeypatch.setattr(parameter_sections, "_LISTED_PARAMETERS", 3)
     page = page_of(run)
 
     assert "<summary>2 further joints</summary>" in page

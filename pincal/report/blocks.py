@@ -45,6 +45,16 @@ RESULT = "result.json#"
 """The file of a calibration, before JSON pointers into it."""
 
 
+def in_pointer(key: str) -> str:
+    """Return a key as a JSON pointer has it (RFC 6901).
+
+    Example:
+        >>> in_pointer("mean_m/s^2")
+        'mean_m~1s^2'
+    """
+    return key.replace("~", "~0").replace("/", "~1")
+
+
 def sourced(text: str, *pointers: str, times: float = 1.0, over: str = "") -> Markup:
     """Return text whose numbers are entries of a file beside the page, in the order of the pointers
     to these (RFC 6901); perhaps multiplied, or over another entry.

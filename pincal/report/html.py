@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from pincal.calibration.calibration import Calibration
 from pincal.errors import counted
-from pincal.report import sections
+from pincal.report import parameter_sections, result_section, sections
 from pincal.report.blocks import Section
 from pincal.report.subject import Subject
 from pincal.units import typeset
@@ -15,15 +15,15 @@ from pincal.units import typeset
 log = logging.getLogger(__name__)
 
 SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
-    sections.summary,
+    result_section.summary,
     sections.accuracy,
     sections.stations,
     sections.elsewhere,
     sections.missing,
     sections.where,
-    sections.parameters,
-    sections.unidentified,
-    sections.moments,
+    parameter_sections.parameters,
+    parameter_sections.unidentified,
+    parameter_sections.moments,
     sections.setup,
     sections.identity,
     sections.basis,

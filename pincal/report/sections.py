@@ -1,5 +1,5 @@
-"""The sections of the page on a calibration: each a function from the subject to a section, or to
-None.
+"""The sections of the page on a calibration but the first and those of parameters: each a function
+from the subject to a section, or to None.
 """
 
 from __future__ import annotations
@@ -8,50 +8,38 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
 
-import numpy as np
 from markupsafe import Markup
 from msgspec import UNSET
 
 from pincal.calibration.held_out import StationRows
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import (
-    ParameterRow,
     clock_table,
-    correlation_table,
     error_table,
     improvement_table,
     iso9283_table,
     moved_table,
     repeated_table,
-    rounded_table,
-    shown_parameters,
     station_table,
 )
 from pincal.errors import counted, few
-from pincal.identify.choices import FoundMoments, found_moments
-from pincal.identify.explain import Status
-from pincal.notes import Note
-from pincal.parameters import FRAME_SYMBOLS, split_name
 from pincal.report.blocks import (
     RESULT,
     PageBlock,
     Section,
     arranged,
-    bullets,
     code,
-    doubts,
     facts,
     folded,
     glance,
     heading,
+    in_pointer,
     merged,
     paragraph,
-    plain_notes,
     rich,
     sourced,
 )
 from pincal.report.illustrations import (
-    correction_drawings,
     course_drawings,
     error_drawings,
     figures,
@@ -59,24 +47,16 @@ from pincal.report.illustrations import (
     order_drawings,
     workspace_drawings,
 )
-from pincal.report.judgement import judged, next_steps, unidentified_groups
-from pincal.report.report_numbers import REPORT
 from pincal.report.subject import RowErrors, Subject
 from pincal.report.words import (
     TERMS,
     effect_meaning,
-    elsewhere_words,
-    is_noise_declared,
-    noise_keys,
-    noise_words,
 )
-from pincal.result_table import Column, Kind, RowTone, Table
 from pincal.robot.robot import Robot
-from pincal.thresholds import Count, Scale
-from pincal.units import fixed, show_chance
+from pincal.thresholds import Count
+from pincal.units import show_chance
 from pincal.validate.accuracy import ERROR_UNITS, cycle_words, leading_unit
-from pincal.validate.misfit import Verdict
-from pincal.validate.outcome import Expanded, StationRecord
+from pincal.validate.outcome import StationRecord
 
 REPEATED = Markup(
     "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its "
@@ -86,277 +66,13 @@ REPEATED = Markup(
 )
 """Definition of accuracy and repeatability."""
 
-# Tolerance of the example [mm], and tolerance over U of which a tenth is lost (ISO 14253-2).
-EXAMPLE: Scale = 0.5
-LOST: Scale = 10.0
-_STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Number of rejected rows whose lines are listed.
 _LISTED: Count = 12
-# Number of parameters of an instrument that stand among those of the robot.
-_FEW_OWN: Count = 6
 # Rows of a table of repeated poses before it is folded: those of positions, fitted and held out.
 _SHORT: Count = 4
-# Rows of which fewer tell no 95 %: one of twenty may lie beyond it.
-_FEW: Count = 20
-# Joints whose errors are drawn, and identified parameters that are listed, before the rest is
-# folded: a page of two robots has twelve and more, and a phone shows one beneath the other.
+# Joints whose errors are drawn before the rest is folded: a page of two robots has twelve and more,
+# and a phone shows one beneath the other.
 _DRAWN_JOINTS: Count = 8
-_LISTED_PARAMETERS: Count = 24
-_TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
-
-
-def summary(subject: Subject) -> Section:
-    """The result in a sentence, what it means for a tolerance, the verdict, and what to do next."""
-    result = subject.result
-    verdict = judged(subject.result, subject.search)
-    tone = _TONES.get(verdict.judgement, "bad")
-    tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
-    steps = bullets(next_steps(subject.calibration, subject.search))
-    following = arranged("plain", heading("What to do next"), steps)
-    tolerance = tuple(_worth(subject))
-    columns = (
-        arranged("split", arranged("plain", *tolerance), following) if tolerance else following
-    )
-    blocks = (
-        *doubts(result.warnings),
-        *(paragraph(words, "headline") for words in _headlines(subject)),
-        paragraph(tag),
-        arranged("glance", *_glance(subject)),
-        columns,
-        paragraph(_stated_by(subject)),
-        *_elsewhere(subject),
-        *_notes(result.warnings),
-    )
-    return Section("summary", "Result", blocks, style="panel")
-
-
-def _notes(found: Sequence[Note]) -> Iterator[PageBlock]:
-    """Yield the notes that are no doubts, folded where there are several."""
-    notes = [*plain_notes(found)]
-    if len(notes) > 1:
-        yield folded(counted(len(notes), "note"), *notes)
-    else:
-        yield from notes
-
-
-def _headlines(subject: Subject) -> Iterator[Markup]:
-    """Yield what the calibration gained, the more telling first: of an IMU alone that is of the
-    angles, as most of its readings' errors are vibration and noise.
-    """
-    gained = [*_gain_of_angles(subject.result)]
-    is_placed = leading_unit(subject.result.error["calibrated"][subject.part]) == "mm"
-    yield from [_headline(subject), *gained] if is_placed else [*gained, _headline(subject)]
-
-
-def _gain_of_angles(result: Result) -> Iterator[Markup]:
-    """Yield how well an IMU lets the angles of the arm be known."""
-    gain = result.angle_gain
-    if gain is UNSET:
-        return
-    at = f"{RESULT}/angle_gain"
-    yield rich(
-        "{} combinations of the {} angles of joints and links are known to <b>{}</b> (standard "
-        "deviation); before calibration, to <b>{}</b>.",
-        sourced(str(gain.gained), f"{at}/gained"),
-        sourced(str(gain.angles), f"{at}/angles"),
-        sourced(_size(gain.after_mrad, "mrad"), f"{at}/after_mrad"),
-        sourced(_size(gain.before_mrad, "mrad"), f"{at}/before_mrad"),
-    )
-
-
-def _headline(subject: Subject) -> Markup:
-    """Return the mean error now and before."""
-    errors = subject.result.error
-    part = subject.part
-    unit = leading_unit(errors["calibrated"][part])
-    key = f"mean_{unit}"
-    before, after = (errors[model][part][key] for model in ("nominal", "calibrated"))
-    ratio = before / after if after > 0.0 else 1.0
-    at = {model: f"{RESULT}/error/{model}/{part}/{_in_pointer(key)}" for model in errors}
-    shown = (
-        sourced(_size(size, unit), at[model])
-        for model, size in (("calibrated", after), ("nominal", before))
-    )
-    number = sourced(f"{ratio:.1f}", at["nominal"], over=at["calibrated"])
-    times = rich(" ({} times as large)", number) if ratio >= REPORT.improved else ""
-    return rich(
-        "The mean error of the model is <b>{}</b>; before calibration it was <b>{}</b>{}.",
-        *shown,
-        times,
-    )
-
-
-def _stated_by(subject: Subject) -> Markup:
-    """Return at what poses the first errors of the page are, and the noise."""
-    result = subject.result
-    noise = (
-        "The declared noise of the instrument is"
-        if is_noise_declared(result.noise)
-        else "The residuals, which contain the noise and all errors that the model omits, have "
-        "a standard deviation of"
-    )
-    pointers = (f"{RESULT}/noise/{key}" for key in noise_keys(result.noise))
-    shown = sourced(noise_words(result.noise), *pointers)
-    return rich("{}. {} {}.", _predicted(subject), noise, shown)
-
-
-_APART = {
-    "regions": "its region of joint space",
-    "stretches": "its stretch of consecutive rows",
-    "sessions": "its session",
-    "random": "its random part of the rows",
-}
-
-
-def _predicted(subject: Subject) -> Markup:
-    """Return at what poses the first errors of the page are."""
-    result = subject.result
-    if result.left_out_mm is not None:
-        return rich(
-            "These are errors on set-ups not used by the calibration, each predicted with the "
-            "model of the others"
-        )
-    if subject.part == "train":
-        return rich(
-            "No poses were held out, so these are the errors of the fit itself, not of new poses"
-        )
-    rows = _rows_held_out(result)
-    validation = result.validation
-    if validation is UNSET or validation.way not in _APART:
-        return rich("These are errors in {} rows that the calibration has not used", rows)
-    others = len(result.error["calibrated"]) > len(("train", "test", validation.way))
-    worse = ", the way of holding out in which predictions are worse" if others else ""
-    words = "Each of {} rows is predicted by a fit without {}{}"
-    return rich(words, rows, _APART[validation.way], worse)
-
-
-def _rows_held_out(result: Result) -> Markup:
-    """Return the number of rows that the first errors of the page are of: of stations whose
-    instruments differ, those that read positions.
-    """
-    counts = {f"{RESULT}/rows/test": result.rows["test"]}
-    if result.stations is not UNSET:
-        key = f"mean_{leading_unit(result.error['calibrated']['test'])}"
-        of = {
-            f"{RESULT}/stations/{k}/rows/test": int(station["rows"]["test"])
-            for k, station in enumerate(result.stations)
-            if key in station["error"]["calibrated"].get("test", ())
-        }
-        counts = of if len(of) < len(result.stations) else counts
-    return merged([sourced(str(count), at) for at, count in counts.items()], " + ")
-
-
-def _elsewhere(subject: Subject) -> Iterator[Markup]:
-    """Yield the error that the model expects away from the measured poses."""
-    found = subject.result.elsewhere
-    if found is not UNSET:
-        words = elsewhere_words(found, subject.result.error["calibrated"][subject.part])
-        pointers = (f"{RESULT}/elsewhere/{name}_mm" for name in ("mean", "worst"))
-        meaning = (
-            "The model expects this by the uncertainty of its parameters, what it lacks and how "
-            "the robot arrives."
-        )
-        yield paragraph(rich("Elsewhere: {}. {}", sourced(words, *pointers), meaning))
-
-
-def _worth(subject: Subject) -> Iterator[Markup]:
-    """Yield what the uncertainty means for a tolerance, unless the result is in doubt."""
-    found = subject.result.uncertainty
-    if found is UNSET or subject.result.doubt:
-        return
-    yield heading("What this means for a tolerance")
-    errors = subject.result.error["calibrated"][subject.part]
-    items = [_worth_to_measure(found)]
-    if "p95_mm" in errors:
-        is_few = subject.readings[0].part(held=subject.part == "test").sum() < _FEW
-        key = "max_mm" if is_few else "p95_mm"
-        to_place = rich(
-            "<b>To drill or place</b>: {} readings lay within {} of where the model "
-            "predicts, the noise of the instrument included.",
-            "all" if is_few else "95 of 100",
-            sourced(_size(errors[key], "mm"), f"{RESULT}/error/calibrated/{subject.part}/{key}"),
-        )
-        items.insert(0, to_place)
-    yield bullets(items)
-    yield paragraph(rich("This rests on {}.", found.rests_on), "mute")
-
-
-def _worth_to_measure(found: Expanded) -> Markup:
-    here, anywhere = (f"{RESULT}/uncertainty/{name}_mm" for name in ("here", "anywhere"))
-    words = (
-        "<b>To measure</b>: U (k = {:.0f}) of a coordinate is {} at these poses, {} anywhere. A "
-        "hole with a tolerance of ± {:g} mm is {} (ISO 14253-1). Only a tenth of the tolerance is "
-        "lost to U from ± {} on."
-    )
-    return rich(
-        words,
-        found.k,
-        sourced(_size(found.here_mm, "mm"), here),
-        sourced(_size(found.anywhere_mm, "mm"), anywhere),
-        EXAMPLE,
-        decided_words(found.here_mm, EXAMPLE),
-        sourced(f"{LOST * found.here_mm:.2g} mm", here, times=LOST),
-    )
-
-
-def decided_words(uncertainty: float, tolerance: float) -> str:
-    """Return whether readings of an expanded uncertainty decide on a symmetric tolerance, both in
-    one unit.
-
-    Example:
-        >>> decided_words(0.03, 0.5)
-        'verified, or rejected, unless the reading is nearer than U to a limit'
-        >>> decided_words(0.6, 0.5)
-        'never verified: U is larger'
-    """
-    if uncertainty >= tolerance:
-        return "never verified: U is larger"
-    return "verified, or rejected, unless the reading is nearer than U to a limit"
-
-
-def _size(value: float, unit: str) -> str:
-    return f"{value:.4f} {unit}" if value < 0.1 else f"{value:.3f} {unit}"
-
-
-def _glance(subject: Subject) -> Iterator[Markup]:
-    """Yield mean, 95 % and worst error, before and after."""
-    part = subject.part
-    before, after = (subject.result.error[model][part] for model in ("nominal", "calibrated"))
-    lead = leading_unit(after)
-    in_motion = (("m/s^2", " of acceleration"), ("mrad/s", " of angular rate"))
-    others = (("mrad", " of orientation"),) if lead == "mm" else in_motion[1:]
-    for unit, suffix in ((lead, dict(in_motion).get(lead, "")), *others):
-        keys = {
-            f"{words} error{suffix}": f"{name}_{unit}"
-            for name, words in _STATISTICS
-            if f"{name}_{unit}" in after
-        }
-        yield from glance(
-            [
-                (
-                    title,
-                    (before[key], after[key]),
-                    tuple(
-                        sourced(words, f"{RESULT}/error/{model}/{part}/{_in_pointer(key)}")
-                        for model, words in (
-                            ("nominal", _size(before[key], "").rstrip()),
-                            ("calibrated", _size(after[key], unit)),
-                        )
-                    ),
-                )
-                for title, key in keys.items()
-            ]
-        )
-
-
-def _in_pointer(key: str) -> str:
-    """Return a key as a JSON pointer has it (RFC 6901).
-
-    Example:
-        >>> _in_pointer("mean_m/s^2")
-        'mean_m~1s^2'
-    """
-    return key.replace("~", "~0").replace("/", "~1")
 
 
 def setup(subject: Subject) -> Section:
@@ -583,7 +299,7 @@ def _mean_error(
     unit = leading_unit(calibrated)
     before = nominal[f"mean_{unit}"]
     after = record.get("left_out", calibrated)[f"mean_{unit}"]
-    key = _in_pointer(f"mean_{unit}")
+    key = in_pointer(f"mean_{unit}")
     at = f"{RESULT}/stations/{k}"
     found = "left_out" if "left_out" in record else f"error/calibrated/{part}"
     words = (
@@ -673,160 +389,6 @@ def where(subject: Subject) -> Section:
         ),
     )
     return Section("where", "Where the errors are", blocks, "Where the errors are")
-
-
-def moments(subject: Subject) -> Section | None:
-    """The identified moments at a typical pose; None if the masses are those of the URDF."""
-    found = found_moments(subject.calibration.fit.fit)
-    if found is None:
-        return None
-    held = (
-        f"The robot description has no usable masses for {counted(len(found.links), 'link')}. "
-        "They were "
-        "estimated with the compliances, starting from the shape of the arm. Only compliance times "
-        "moment deflects the arm, so all moments share a factor with the inverse of the "
-        f"compliances: it is known to {100.0 * found.factor_sigma:.2g} %, and predictions do not "
-        "depend on it. The robot's mass from its data sheet (--mass) or rows with other payloads "
-        "would determine it."
-    )
-    pose = ", ".join(f"{value:.2f}" for value in found.q)
-    return Section(
-        "moments",
-        "Static moments",
-        (paragraph(held), moment_table(found, f"at the pose {pose}")),
-        "Moments",
-    )
-
-
-def moment_table(found: FoundMoments, where: str) -> Table:
-    """Return the moments at a pose, and their standard deviations if the common factor is held
-    fixed.
-    """
-    columns = (
-        Column("joint", kind=Kind.NAME),
-        Column("axis", kind=Kind.LABEL),
-        Column("moment", "N m", Kind.NUMBER, fixed(1)),
-        Column("sigma", "N m", Kind.NUMBER, fixed(1)),
-        Column("", kind=Kind.LABEL),
-    )
-    rows = tuple(
-        (
-            of.joint,
-            of.axis,
-            of.moment,
-            of.sigma,
-            "identified" if of.is_identified else "fixed by the shape",
-        )
-        for of in found.axes
-    )
-    note = (
-        f"sigma: with the moment about {found.largest.axis} of {found.largest.joint}, and so "
-        "the common factor, held fixed."
-    )
-    return Table(f"Static moments {where}", columns, rows, (note,))
-
-
-def parameters(subject: Subject) -> Section:
-    """Every parameter with its uncertainty, and the strong correlations."""
-    result = subject.result
-    symbols = rich(
-        "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint axis, a "
-        "and alpha along and about the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are "
-        "position and rotation of base and tool. k is a <b>compliance</b>, the rotation of a joint "
-        "or bearing per unit of moment. Behind ± is half of the 95 % interval, to which values are "
-        "rounded. Status: "
-        "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior knowledge; "
-        "<b>unidentifiable</b>: these poses cannot determine it by itself, whatever the noise; "
-        "predictions at poses like these do not depend on it."
-    )
-    blocks: list[PageBlock] = [
-        *_corrections(subject),
-        folded("What the symbols mean", paragraph(symbols)),
-        *_parameter_tables(result.parameters, subject.calibration.fit.fit.problem.is_shared),
-    ]
-    if result.correlations:
-        text = (
-            "Each of these pairs is known much better in combination than individually: an error "
-            "of one is compensated by the other. Always use both together."
-        )
-        pairs = counted(len(result.correlations), "strong correlation")
-        blocks.append(folded(pairs, paragraph(text), correlation_table(result.correlations)))
-    else:
-        blocks.append(
-            paragraph("Strong correlations: none above 0.9 between identified parameters.", "mute")
-        )
-    return Section("parameters", "Parameters", tuple(blocks), "Parameters")
-
-
-def _corrections(subject: Subject) -> Iterator[PageBlock]:
-    """Yield the largest corrections as figures, folded where a search has said what was wrong."""
-    drawn = figures("correction", correction_drawings(subject.result.parameters))
-    is_told = subject.search is not None
-    yield folded("The largest corrections", drawn) if is_told and drawn else drawn
-
-
-def _parameter_tables(
-    parameters: Sequence[ParameterRow], is_robots: Sequence[bool] | np.ndarray
-) -> Iterator[PageBlock]:
-    """Yield the tables of what was determined of the robot, of what was not, of the placement of
-    instrument and target, and of what is the instrument's own.
-
-    Args:
-        parameters: all parameters.
-        is_robots: shape (P,), which are of the robot, not of a set-up.
-    """
-    shown = {id(row) for row in shown_parameters(parameters)}
-    parts: dict[str, list[int]] = {
-        name: [] for name in ("identified", "others", "placement", "instrument")
-    }
-    for k, row in enumerate(parameters):
-        if id(row) in shown:
-            parts[_part_of(row, is_robots=bool(is_robots[k]))].append(k)
-    if len(parts["instrument"]) <= _FEW_OWN:
-        parts["identified"] += parts.pop("instrument")
-    if found := parts["identified"]:
-        table = rounded_table(parameters, found).without("status", "reason")
-        is_long = len(found) > _LISTED_PARAMETERS
-        words = f"{counted(len(found), 'parameter')} determined"
-        yield folded(words, table) if is_long else table
-    if parts["others"]:
-        words = f"{counted(len(parts['others']), 'parameter')} not determined individually"
-        yield folded(words, rounded_table(parameters, parts["others"]))
-    if parts["placement"]:
-        table = rounded_table(parameters, parts["placement"]).without("nominal")
-        yield folded("Base and tool: where instrument and target stand", table)
-    if own := parts.get("instrument"):
-        words = f"{counted(len(own), 'parameter')} of the instrument: axes, biases, clocks"
-        yield folded(words, rounded_table(parameters, own).without("status", "reason"))
-    if hidden := len(parameters) - len(shown):
-        yield paragraph(
-            f"The coordinates of {hidden // 3} named points are omitted here; result.json has them."
-        )
-
-
-def _part_of(row: ParameterRow, *, is_robots: bool) -> str:
-    if split_name(row.name)[1] in FRAME_SYMBOLS:
-        return "placement"
-    if row.status != Status.IDENTIFIED:
-        return "others"
-    return "identified" if is_robots else "instrument"
-
-
-def unidentified(subject: Subject) -> Section:
-    """Parameters that are not identified, by cause, with what to measure."""
-    groups = [
-        folded(
-            f"{found.advice.title}: {len(found.names)}",
-            paragraph(found.advice.text),
-            paragraph(merged(map(code, found.names), ", "), "mute"),
-        )
-        for found in unidentified_groups(shown_parameters(subject.result.parameters))
-    ]
-    blocks: list[PageBlock] = [*groups] or [paragraph("All parameters are identified.")]
-    if subject.notes:
-        blocks.append(folded("Not included in the calibrated URDF", bullets(subject.notes)))
-    title = "What is not identifiable, and what to measure"
-    return Section("unidentified", title, tuple(blocks), "Not identifiable")
 
 
 def identity(subject: Subject) -> Section | None:
