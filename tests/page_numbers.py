@@ -131,6 +131,8 @@ def disagreements(page: PageNumbers, files: Mapping[str, Any]) -> Iterator[str]:
             expected = float(value) * of.times / factor
             if pointer.endswith("/sigma") and f"± {text}" in of.text:
                 expected *= INTERVAL
+                # It has two digits, also of 100 and more.
+                last = max(last, 10.0 ** (len(mantissa) - 2)) if "." not in mantissa else last
             if of.over:
                 expected /= entry(of.over, files)[0]
             if f"<{text}" in of.text:
