@@ -20,8 +20,8 @@ from pincal.calibration.caveats import (
     findings_on_replicates,
 )
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.frame_shift import moved
 from pincal.calibration.held_out import LeftOut, StationRows, Validated
-from pincal.calibration.placing import moved
 from pincal.calibration.station_information import spent_at
 from pincal.calibration.visit_findings import by_visit, findings_on_visits
 from pincal.identify.beliefs import declared_noise

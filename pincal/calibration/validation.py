@@ -15,7 +15,8 @@ from pincal.calibration.calibration_numbers import OTHER_ROWS
 from pincal.calibration.caveats import findings_on_held_out
 from pincal.calibration.curve_coverage import knows
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.placing import FrameShift, Placed, fitted_rows, place_station
+from pincal.calibration.frame_shift import FrameShift
+from pincal.calibration.placing import Placed, fitted_rows, place_station
 from pincal.calibration.row_noise import noise_of_rows
 from pincal.errors import BadInputError, PincalWarning, warn
 from pincal.identify.initial import links_of

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from pincal.calibration.placing import by_how_much
+from pincal.calibration.frame_shift import by_how_much
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,

@@ -15,7 +15,8 @@ import numpy as np
 from pincal.calibration.caveats import CaveatKind, findings_on_outliers
 from pincal.calibration.change_numbers import CHANGES
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.placing import FrameShift, Placed, fitted_rows, moved, place_station
+from pincal.calibration.frame_shift import FrameShift, moved
+from pincal.calibration.placing import Placed, fitted_rows, place_station
 from pincal.calibration.validation import stand_still
 from pincal.diagnosis.change_search import ChangeVerdict, search
 from pincal.diagnosis.diagnosis_file import (
